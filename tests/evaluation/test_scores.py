@@ -346,6 +346,18 @@ def test_a_run_whose_scores_are_in_the_making_is_not_finished(runs: Path, monkey
         with pytest.raises(InterruptedError):
             run_job(more)
     assert few.run.state is State.resumable
+    assert few.run.result["scalars"].keys() >= {"seconds"}
     run_job(more)
     assert few.run.state is State.finished
     assert {"train/seconds", "seconds", "test/psnr"} <= few.run.result["scalars"].keys()
+
+    (few.folder / "last.ckpt").unlink()  # so that a further metric needs another training
+    most = job(runs, "study_name=killed", "metrics=[mae,psnr,mae_fan]")
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez_compressed", killed)
+        with pytest.raises(InterruptedError):
+            run_job(most)
+    assert few.run.state is not State.finished
+    run_job(most)
+    assert few.run.state is State.finished
+    assert not {"train/seconds", "seconds"} & few.run.result["scalars"].keys(), "costs of the training that was removed"

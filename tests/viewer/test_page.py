@@ -130,6 +130,17 @@ def test_of_a_drag_what_is_stale_is_left_out_and_of_keys_nothing(client: Client,
     assert asked[:-4] in ([], [1.0]), "the first may have been answered at once"
 
 
+def test_a_button_that_waits_stays_the_one_that_was_pressed(client: Client, viewer: Viewer) -> None:
+    seed, turned = viewer.session.state.seed, viewer.session.hold.roll_deg
+    with viewer.page.lock:
+        client.set("Turn (°)", turned + 9)
+        client.set("New (N, R)", "Reset")
+        client.set("New (N, R)", "Speckle")
+        time.sleep(0.3)
+    settle(client, viewer)
+    assert (viewer.session.state.seed, viewer.session.hold.roll_deg) == (seed + 1, turned)
+
+
 def test_a_preset_is_gone_to_and_forgotten_at_the_next_step(client: Client, viewer: Viewer) -> None:
     name = list(viewer.session.presets)[2]
     client.set("Plane", name)

@@ -114,7 +114,8 @@ def check_alike(runs: Sequence[Run]) -> None:
         if (twin := of_hash.setdefault(run.result["hash"], run)).folder != run.folder:
             raise ConfigurationError(f"{twin.folder} and {run.folder} are the same run, which counts once: remove one")
         for name, source in run.result["sources"].items():
-            other, *code = scored.setdefault(source.partition(" ")[0], (run, name, source))
+            named = source.partition(" ")[0] if " " in source else name.rpartition(".")[2]  # by an earlier version
+            other, *code = scored.setdefault(named, (run, name, source))
             if code != [name, source]:
                 again = "repeat the command with this metric and the variants and seeds of both"
                 raise ConfigurationError(f"{name} has scored {other.name} and {run.name} by different code: {again}")

@@ -21,12 +21,13 @@ def check_place(job: Job) -> None:
     The ConfigurationError names the keys that differ, each with its value there and here.
     """
     for run in runs_of(job.settings.study_dir):
-        if not isinstance(there := run.spec.get("semantic"), Mapping):
+        there, settings = (run.spec.get(part) for part in ("semantic", "settings"))
+        if not (isinstance(there, Mapping) and isinstance(settings, Mapping)):
             continue  # a damaged file tells nothing; comparisons leave its run aside
         if run.folder == job.folder:
             unlike = list(differences(there, job.semantic))
         else:
-            preset = run.spec["settings"].get("preset"), job.settings.preset
+            preset = settings.get("preset"), job.settings.preset
             unlike = not_shared(there, job.semantic, {*run.changed, *dict(job.changed)}, preset)
         if unlike:
             values = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in unlike)

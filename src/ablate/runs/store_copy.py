@@ -142,14 +142,13 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     data = digest(run.spec["semantic"]["data"])
     tags = {"variant": label, "seed": str(of_run["seed"]), "study": settings.study, "data_hash": data}
     started = next((line["time"] for line in tracking.read_log(run.folder)[0]), None)
-    tags["begun"] = str(started)
     stored = StoredRun(store, tracking.child_run(store, parent.run_id, run.name, run.hash, tags, started))
     stored.mark(Status.running)
-    again = ""
-    if (begun := stored.tag("begun")) not in (None, tags["begun"]):
+    again, begun = "", stored.tag("begun") or str(started)
+    if started is not None and begun != str(started):
         again = " **Trained again**: curves and pictures of steps that an earlier training has logged are that one's."
         _LOG.warning("%s: MLflow has a run of an earlier training, begun %s; its curves stay there", run.name, begun)
-    stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE})
+    stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE} | ({"begun": begun} if started else {}))
     stored.describe(
         f"`{label}`, seed {of_run['seed']}, of the study `{settings.study}`. **Model metrics**: `test/` was measured "
         "at the end; `test/floor_` is what the same frames score, simulated with other scatterers and ray paths. "

@@ -28,7 +28,7 @@ from ablate.runs.run import Run, State
 from ablate.runs.store_copy import copying, log_samples
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, Provenance, StudySettings, Verbosity
-from ablate.storage import digest, remove_partial, write_json, write_text, written_whole
+from ablate.storage import digest, known_json, remove_partial, write_json, write_text, written_whole
 from ablate.threads import torch_threads
 from ablate.tracking import LocalLog
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, read_checkpoint, train
@@ -68,11 +68,11 @@ def _run(job: Job) -> None:
         for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
             remove_partial(file)
         there = run.result if run.result.get("hash") == job.hash and run.state is not State.unusable else {}
-        if there:  # until all is written, files may be newer than what this says of them
-            write_json(run.folder / "result.json", {**there, "metrics_version": 0})
-        before = there if run.checkpoint.exists() else {}
+        if not run.checkpoint.exists():  # perhaps removed, to train again: its result tells nothing of that
+            _unfinish(run, hash="")
         scalars, notes = _train_and_score(job, run, data, log)
         first_scored = _now()
+        before = there if scalars["train/resumed_at"] >= job.settings.training.steps else {}
         if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
             scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
             scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
@@ -93,6 +93,12 @@ def _run(job: Job) -> None:
         }
         write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
         _LOG.info("finished")
+
+
+def _unfinish(run: Run, **changes: str) -> None:
+    """Take back that a run is finished, until its files and what is said of them are new."""
+    if result := known_json(path := run.folder / "result.json"):
+        write_json(path, {**result, "metrics_version": 0, **changes})
 
 
 @contextmanager
@@ -196,6 +202,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     render = generated_images(trained.generator, data, values, s.training.precision)
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
     scalars = {**costs, **scores.scalars, **parameters(s, spec)}
+    _unfinish(run)
     with written_whole(run.scores_file) as partial:
         scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
     shown = dataset.equally_spaced(pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant

@@ -18,7 +18,6 @@ from ablate.viewer.session import Moving, Quality, State, Views
 
 _COARSE_RAYS = 4
 _KEPT_SIMULATORS = 8  # full, coarse and low quality, and of coarse maps, of this probe and the one before
-_KEPT_GENERATORS = 4
 
 
 def coarse(settings: SimulatorSettings) -> SimulatorSettings:
@@ -39,7 +38,7 @@ class Engine:
         self._patient_gain = lru_cache(_KEPT_SIMULATORS)(lambda probe: patient(scene, probe, beside=self._first))
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
-        self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder, _: open_generator(folder, scene.tissues))
+        self._generator = lru_cache(4)(lambda folder, _: open_generator(folder, scene.tissues))
         self._made: dict[str, tuple[Hashable, Any, float]] = {}
 
     def render(self, state: State, quality: Quality) -> Views:

@@ -114,12 +114,8 @@ def grey_levels(power: np.ndarray, range_db: float) -> None:
 
 def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
-    each, samples = settings.samples_per_row, lines.shape[1]
-    sums = lines[:, ::each].copy()
-    for later in range(1, min(each, samples)):
-        added = lines[:, later::each]
-        sums[:, : added.shape[1]] += added
-    return (sums / np.minimum(each, samples - np.arange(0, samples, each)).astype(lines.dtype)).T
+    each = min(settings.samples_per_row, lines.shape[1])  # divides the number of samples, as settings are checked
+    return np.asarray(np.mean([lines[:, first::each] for first in range(each)], axis=0)).T
 
 
 @dataclass(frozen=True)

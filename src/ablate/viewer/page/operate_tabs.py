@@ -43,7 +43,7 @@ def add_row(page: Page) -> None:
     page.keep_equal(frozen, lambda: session.frozen)
     actions = {"Speckle": session.new_speckle, "Reset": session.reset}
     group = gui.add_button_group("New (N, R)", tuple(actions), hint="other scatterers; settings as at first")
-    group.on_click(page.in_turn(lambda event: actions[event.target.value]()))
+    group.on_click(page.does(lambda name: actions[name]()))
     page.add_key("F", "Freeze, or let the picture move", lambda: session.freeze(not session.frozen))
     page.add_key("N", "New speckle", session.new_speckle)
     page.add_key("R", "Reset", session.reset)
@@ -76,7 +76,7 @@ def add_move_tab(page: Page) -> None:
         _add_slider(page, label, (lowest, highest, 1.0), name, lambda: session.hold, session.move, hint)
     looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
     look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
-    look.on_click(page.in_turn(lambda event: looks[event.target.value](event.client)))
+    look.on_click(page.tells(lambda event: looks[event.target.value](event.client)))
     with gui.add_folder("See through (1 is opaque, 0 hidden)", expand_by_default=False):
         for name in page.body.tissues:
             read, write = partial(page.body.opacity_of, name), partial(page.body.see_through, name)

@@ -18,7 +18,6 @@ from ablate.viewer.records import CineLoop, Sweep
 from ablate.viewer.session import FROZEN, Quality, Session, Views
 
 Bounds = tuple[float, float, float]
-_JPEG_QUALITY = 88
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."
 
 
@@ -45,7 +44,7 @@ class Page:
         with self.images.add_tab("Images"):
             empty = empty_picture(_FIRST, session.state.simulator.image_shape, Quality.full)
             first = np.tile(np.asarray(empty), (2, 2, 1))
-            self._screen = server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
+            self._screen = server.gui.add_image(first, format="jpeg", jpeg_quality=88)
             self._caption = server.gui.add_html("")
             server.gui.add_html("<style>img {width: 100%}</style>")  # else a picture is no wider than its pixels
         self._status = server.gui.add_html("")
@@ -160,7 +159,7 @@ class Page:
 
     def close(self) -> None:
         """End the threads that answer and draw, after what they do now."""
-        self._hand.shutdown()
+        self._hand.shutdown(cancel_futures=True)
         self._pencil.shutdown()
 
     @property
