@@ -24,7 +24,7 @@ import trimesh
 import yaml
 
 from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_sites, load_scene, load_sites, load_tissues
-from ablate.dataset import place_probe
+from ablate.dataset import probe_poses
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
@@ -176,7 +176,7 @@ def scenes(scene: Scene, poses: list[np.ndarray], folder: Path | None) -> list[t
         ("fetus", scene, poses),
     ]
     if folder is not None:
-        placed = place_probe(load_scene(folder), load_sites(folder), 8).poses
+        placed = probe_poses(load_scene(folder), load_sites(folder), 8)
         cases.append((folder.name, load_scene(folder), some(list(placed), len(poses))))
     return cases
 
@@ -253,7 +253,7 @@ def main() -> None:
     args = parser.parse_args()
     threads = torch.get_num_threads()
     scene = fetal_abdomen()
-    all_poses = list(place_probe(scene, fetal_sites(), 8).poses)
+    all_poses = list(probe_poses(scene, fetal_sites(), 8))
     poses = some(all_poses)
     s, probe = SimulatorSettings(), ConvexProbe()
     triangles = sum(len(structure.mesh.faces) for structure in scene.structures)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, load_scene, load_sites
-from ablate.dataset import place_probe
+from ablate.dataset import probe_poses
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, TimeGain, with_patient_gain
 
 FREQUENCY_MHZ = 5.0  # usual for a second-trimester examination
@@ -26,7 +26,7 @@ COLUMNS = 3
 def poses_by_tissue(folder: Path, scene: Scene) -> dict[str, np.ndarray]:
     """At most six poses: for each tissue but the background, the smallest first, the one that shows most of it."""
     scout = Simulator(scene, ConvexProbe(), SimulatorSettings(image_shape=SCOUT_SHAPE))
-    poses = place_probe(scene, load_sites(folder), press_mm=8).poses
+    poses = probe_poses(scene, load_sites(folder), press_mm=8)
     counts = np.array([np.bincount(scout.maps(p)[0].ravel(), minlength=len(scene.tissues) + 1)[1:] for p in poses])
     names = [tissue.name for tissue in scene.tissues]
     rarest_first = [i for i in np.argsort(counts.sum(axis=0), kind="stable") if i > 0][:6]

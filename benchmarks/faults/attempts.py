@@ -232,6 +232,8 @@ def _read_study(job: "Job") -> None:
 
 def _scene_caches(_: Path, place: Path) -> Attempt:
     """The cache of a built scene: read, or built again; never another scene."""
+    import numpy as np
+
     from ablate.anatomy import load_scene
     from ablate.anatomy.scene import cached_scene
 
@@ -247,7 +249,7 @@ def _scene_caches(_: Path, place: Path) -> Attempt:
         for own, there in zip(
             scene.structures, cached_scene(place / "runs", lambda: scene, seed=0).structures, strict=True
         ):
-            if own.tissue != there.tissue or (own.mesh.triangles != there.mesh.triangles).any():
+            if own.tissue != there.tissue or not np.array_equal(own.mesh.triangles, there.mesh.triangles):
                 raise AssertionError("another scene came out of the cache")
 
     return attempt

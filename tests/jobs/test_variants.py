@@ -4,9 +4,12 @@ import dataclasses
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS
 from ablate.networks import GeneratorSpec
+from ablate.settings import conf
 from ablate.settings.conf import components, components_of_networks, keys, variant_names
 from ablate.settings.study import StudySettings
 from ablate.training import AdversarialLoss
@@ -66,3 +69,13 @@ def test_a_variant_without_a_discriminator_is_sa2h_but_for_its_loss() -> None:
     with_one, without = (job.settings for job in jobs_of(["-m", "variant=sa2h,sa2h-gan", "preset=paper"]))
     training = dataclasses.replace(with_one.training, loss=AdversarialLoss.none)
     assert without == dataclasses.replace(with_one, variant="sa2h-gan", training=training)
+
+
+def test_one_key_has_one_file_of_a_component(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The level of the last file once decided which runs have the component of the first."""
+    monkeypatch.setattr(conf, "conf_folder", lambda: tmp_path)
+    (tmp_path / "component").mkdir()
+    for name, levels in (("att", "on: integral\noff: none"), ("gain", "on: compensated\noff: integral")):
+        (tmp_path / "component" / f"{name}.yaml").write_text(f"key: model.attenuation\n{levels}\n")
+    with pytest.raises(ValueError, match=r"gain\.yaml: key=model\.attenuation is declared by att\.yaml; allowed"):
+        conf.components.__wrapped__()

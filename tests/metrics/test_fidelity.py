@@ -109,3 +109,10 @@ def test_masks_and_the_figure():
     assert rms(chi2, inside) == pytest.approx(0.25)
     assert rms(chi2) == pytest.approx(np.sqrt(2.25 / 6))
     assert rms(chi2, np.zeros_like(inside)) is None
+
+
+@pytest.mark.parametrize("metric", [psnr, mae])
+def test_a_masked_array_is_refused_because_its_masked_pixels_would_count(metric) -> None:
+    image = np.zeros((8, 8), np.uint8)
+    with pytest.raises(ValueError, match=r"b must be \(H, W\) uint8, got \(8, 8\) MaskedArray uint8"):
+        metric(image, np.ma.masked_array(image, image == 0))

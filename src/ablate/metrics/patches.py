@@ -9,7 +9,7 @@ def check_pair(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> 
     """Raise ValueError unless `a` and `b` are (H, W) uint8 and `mask`, (H, W) bool, leaves a pixel to compare."""
     for name, image in (("a", a), ("b", b)):
         if image.dtype != np.uint8 or image.ndim != 2 or isinstance(image, np.ma.MaskedArray):
-            raise ValueError(f"image {name} must be (H, W) uint8, got {image.shape} {type(image)} {image.dtype}")
+            raise ValueError(f"{name} must be (H, W) uint8, got {image.shape} {type(image).__name__} {image.dtype}")
     if a.shape != b.shape:
         raise ValueError(f"images must have one shape, got {a.shape} and {b.shape}")
     if mask is not None and (mask.dtype != np.bool_ or mask.shape != a.shape):
