@@ -10,6 +10,7 @@ import reprlib
 import sys
 import types
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from functools import cache
@@ -192,6 +193,15 @@ def flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 def shown(value: object) -> str:
     """Represent a value in a message, shortened where it is long."""
     return " ".join(_REPR.repr(value).split())
+
+
+@contextmanager
+def naming(where: str, kinds: type[Exception] | tuple[type[Exception], ...] = ValueError) -> Iterator[None]:
+    """Raise an error of these kinds as a ValueError of one line that begins with `where`."""
+    try:
+        yield
+    except kinds as error:
+        raise ValueError(f"{where}{' '.join(str(error).split())}") from error
 
 
 def check_name(key: str, value: str, reserved: Collection[str] = ()) -> None:

@@ -15,7 +15,7 @@ from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
-from ablate.setting import shown
+from ablate.setting import naming, shown
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -174,10 +174,8 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
         raise values.refusal(f"{path}: tissues", content, "mappings of names to their values")
     for name, entry in content.items():
         changes = values.mapping(entry or {}, f"{path}: tissues.{name}", TISSUE_KEYS)
-        try:
+        with naming(f"{path}: tissues: "):
             tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
-        except ValueError as error:
-            raise ValueError(f"{path}: tissues: {error}") from None
     return tissues
 
 
@@ -194,7 +192,5 @@ def _sites(content: Any, where: str, mm_per_unit: float, structures: list[str]) 
             lists["heights_mm"] = tuple(mm_per_unit * height for height in values.series(value, key_where))
         else:
             lists[f"{key}_deg"] = values.series(value, key_where)
-    try:
+    with naming(f"{where}: "):
         return SiteGrid(**lists)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None

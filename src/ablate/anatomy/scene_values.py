@@ -14,15 +14,14 @@ from typing import Any
 import yaml
 
 from ablate.anatomy.site_grid import MOST_POSES
-from ablate.setting import shown
+from ablate.setting import naming, shown
 
 
 def read_yaml(path: Path) -> Any:
     """The content of a YAML file; a ValueError names the file."""
-    try:
+    # a number or a date may be a ValueError
+    with naming(f"{path}: not readable as YAML: ", (yaml.YAMLError, ValueError, RecursionError)):
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # a number or a date may be a ValueError
-        raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
 
 
 class _Loader(yaml.SafeLoader):

@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import cache
 from importlib.resources import files
 
-from ablate.setting import check_settings, setting
+from ablate.setting import check_settings, naming, setting
 
 _GAS_BELOW_MRAYL, _BONE_ABOVE_MRAYL = 0.5, 3.0  # soft tissue and fluid lie between
 _FLUID_UP_TO_MRAYL = 2.0
@@ -58,10 +58,8 @@ class Tissue:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise ValueError(f"tissue name must be a non-empty string, not {self.name!r}")
-        try:
+        with naming(f"tissue {self.name!r}: "):
             check_settings(self)
-        except ValueError as error:
-            raise ValueError(f"tissue {self.name!r}: {error}") from None
 
     @property
     def scatter_power(self) -> float:

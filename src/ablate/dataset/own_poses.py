@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ablate.setting import shown
+from ablate.setting import naming, shown
 from ablate.ultrasound.probe import check_pose
 
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -28,11 +28,8 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
     if path.suffix.lower() == ".csv":
         poses, sites = _of_csv(path, where)
     else:
-        try:
-            with path.open("rb") as stream:
-                poses = np.load(stream, allow_pickle=False)
-        except (ValueError, OSError, EOFError) as error:
-            raise ValueError(f"{where}: not readable as .npy: {' '.join(str(error).split())}") from None
+        with naming(f"{where}: not readable as .npy: ", (ValueError, OSError, EOFError)), path.open("rb") as stream:
+            poses = np.load(stream, allow_pickle=False)
         if not isinstance(poses, np.ndarray):
             raise ValueError(f"{where}: is an archive (.npz), allowed is one array (.npy)")
         poses = poses[None] if poses.shape == (4, 4) else poses  # one, as the viewer saves it
@@ -40,10 +37,8 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0 or poses.dtype.kind not in "fiu":
         raise ValueError(f"{where}: must hold poses of shape (n, 4, 4), not {poses.dtype} of {poses.shape}")
     for i, pose in enumerate(poses):
-        try:
+        with naming(f"{where}: pose {i}: "):
             check_pose(pose)
-        except ValueError as error:
-            raise ValueError(f"{where}: pose {i}: {error}") from None
     return poses.astype(np.float64), sites
 
 

@@ -21,7 +21,7 @@ from ablate.anatomy.scene_values import mapping, one_of, read_yaml
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
-from ablate.setting import plain
+from ablate.setting import naming, plain
 from ablate.storage import digest, digest_of_files
 from ablate.ultrasound.settings import PROBE_KEYS, Probe, probe_from
 
@@ -265,10 +265,8 @@ def _fan(path: Path) -> Probe | None:
     if not path.is_file():
         raise ValueError(f"{path}: is no file")
     given = mapping(read_yaml(path), f"{path}", ("kind", *PROBE_KEYS))
-    try:
+    with naming(f"{path}: ", (ValueError, TypeError)):
         probe = probe_from(given)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{path}: {error}") from error
     if missing := [name for name in fan_values(probe) if given.get(name) is None]:  # a default would be a guess
         raise ValueError(f"{path}: no {missing[0]}; a {probe.kind} fan has {', '.join(fan_values(probe))}")
     return probe

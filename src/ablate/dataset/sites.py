@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from trimesh import unitize
 
 from ablate.anatomy import Scene, SiteGrid, TissueKind, bounds_mm
 from ablate.ultrasound import ConvexProbe, Probe
@@ -167,9 +168,9 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
         raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")
     probe = probe or ConvexProbe()
     skin, region = Skin(scene), _region(scene, grid)
-    axis = _unit(np.asarray(grid.axis, float))
+    axis = unitize(np.asarray(grid.axis, float))
     front = np.asarray(grid.front, float)
-    front = _unit(front - axis * (front @ axis))
+    front = unitize(front - axis * (front @ axis))
     turns = [(tilt, roll) for tilt in grid.tilts_deg for roll in grid.rolls_deg]
     placed: list[tuple[np.ndarray, np.ndarray, int]] = []  # pose, approach, site
     places = [(height, angle) for height in grid.heights_mm for angle in np.deg2rad(grid.angles_deg)]
@@ -218,14 +219,10 @@ def turned_pose(
     point: np.ndarray, inward: np.ndarray, axis: np.ndarray, tilt: float = 0.0, roll: float = 0.0
 ) -> np.ndarray:
     """Face's middle at `point`, z along `inward`, rolled about z (0: x = z cross axis), then tilted about y."""
-    x = _unit(np.cross(inward, axis))
+    x = unitize(np.cross(inward, axis))
     y = np.cross(inward, x)
     c, s = np.cos(np.deg2rad(roll)), np.sin(np.deg2rad(roll))
     x, y = c * x + s * y, c * y - s * x
     c, s = np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))
     x, z = c * x - s * inward, c * inward + s * x
     return np.vstack([np.column_stack([x, y, z, point]), [0.0, 0.0, 0.0, 1.0]])
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v)

@@ -69,18 +69,7 @@ def _moments(patches: np.ndarray) -> np.ndarray:
     skewness = np.sign(cubed) * np.log1p(np.abs(cubed))
     kurtosis = np.log1p(fourth / variance**2)
     columns = (mean / GREY_UNIT, np.sqrt(variance) / GREY_UNIT, skewness, kurtosis)
-    return np.column_stack((*columns, _quantiles(counts, pixels) / GREY_UNIT))
-
-
-def _quantiles(counts: np.ndarray, pixels: int) -> np.ndarray:
-    """(n, len(QUANTILES)): quantiles of grey levels from their counts, interpolated linearly as by NumPy."""
-    up_to = np.cumsum(counts, axis=1, dtype=np.int32)
-    columns = []
-    for q in QUANTILES:
-        rank = q * (pixels - 1)
-        lower, upper = ((up_to <= k).sum(axis=1) for k in (int(rank), min(int(rank) + 1, pixels - 1)))
-        columns.append(lower + (upper - lower) * (rank - int(rank)))
-    return np.column_stack(columns)
+    return np.column_stack((*columns, np.quantile(patches, QUANTILES, axis=1).T / GREY_UNIT))
 
 
 def _spatial(x: np.ndarray) -> np.ndarray:

@@ -1,10 +1,9 @@
 """Are structures where they belong, and as bright? Shadows, smooth errors, and surfaces of bone."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
-from scipy.fft import fft, irfft2, next_fast_len, rfft2
-from scipy.ndimage import distance_transform_edt, find_objects, label, map_coordinates
+from scipy.ndimage import distance_transform_edt, find_objects, gaussian_filter, label, map_coordinates
 
 from ablate.metrics.metric import MECHANISM, Direction, Group, Metric, Pair, Resimulation, Shown
 
@@ -15,6 +14,7 @@ FEWEST_PIXELS = 100  # speckle of 22 grey levels then leaves 2 in a mean
 SMOOTH_SIGMA_MM = 1.5
 SMOOTH_SIGMA_PX = 4.0  # where the size of a pixel is not known
 BAND_MM = 2.0  # of bone below its surface
+_smooth = partial(gaussian_filter, mode="constant", truncate=3.0)  # of an image that is 0 outside
 RING_MM = (2.0, 5.0)  # from the band, of its surround
 FEWEST_MM2 = 4.0  # of a band and of its surround
 
@@ -95,26 +95,6 @@ def _smoothed_mask(mask_bytes: bytes, shape: tuple[int, int], sigma_px: tuple[fl
     """The mask's own Gaussian average; it is kept because it is the same for all frames of a probe."""
     mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(shape)
     return np.maximum(_smooth(mask.astype(np.float32), sigma_px), np.finfo(np.float32).tiny)
-
-
-def _smooth(image: np.ndarray, sigma_px: tuple[float, ...]) -> np.ndarray:
-    """Gaussian cut off at 3 standard deviations, of an image that is 0 outside; by FFT, in half the time of taps."""
-    height, width = image.shape
-    shape, transfer = _gaussian_transfer((height, width), sigma_px)
-    return np.asarray(irfft2(rfft2(image, shape) * transfer, shape)[:height, :width])
-
-
-@lru_cache(maxsize=4)
-def _gaussian_transfer(shape: tuple[int, int], sigma_px: tuple[float, ...]) -> tuple[tuple[int, ...], np.ndarray]:
-    """Size of the FFT, with room for the Gaussian's reach, and its transfer function there."""
-    lengths, transfers = [], []
-    for length, sigma in zip(shape, sigma_px, strict=True):
-        reach = int(3.0 * sigma + 0.5)
-        offsets = np.arange(-reach, reach + 1)
-        taps = np.exp(-0.5 * (offsets / sigma) ** 2)
-        lengths.append(next_fast_len(length + reach, real=True))
-        transfers.append(fft(np.bincount(offsets % lengths[-1], taps / taps.sum(), lengths[-1])).real)
-    return tuple(lengths), np.outer(transfers[0], transfers[1][: lengths[1] // 2 + 1]).astype(np.float32)
 
 
 MAE_SMOOTH = Metric(

@@ -19,10 +19,9 @@ from ablate.setting import check_name
 from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
 from ablate.storage import digest, digest_of_files, known_json
+from ablate.training.settings import LAST
 
 _LOG = logging.getLogger(__name__)
-#: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
-CHECKPOINT = "last.ckpt"
 _PARAMETERS = {"parameters_generator", "parameters_discriminator"}  # the scalars that every run has
 _KINDS: Mapping[str, type] = {
     **{"hash": str, "label": str, "seed": int, "data": str, "pixels": str, "scalars": dict},
@@ -50,7 +49,7 @@ class Run:
     @property
     def checkpoint(self) -> Path:
         """The checkpoint that a training goes on from, and whose generator is evaluated; it may be missing."""
-        return self.folder / CHECKPOINT
+        return self.folder / LAST
 
     @property
     def provenance(self) -> list[Path]:

@@ -13,7 +13,7 @@ import yaml
 import ablate
 from ablate.analysis.components import Component
 from ablate.networks.spec import ExtraInput, GeneratorSpec, Noise, inputs
-from ablate.setting import Setting, is_group, settings_of, shown
+from ablate.setting import Setting, is_group, naming, settings_of, shown
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.settings import PROBES, Probe, probe_from
 
@@ -43,10 +43,8 @@ def build(cls: type[T], values: dict[str, Any], prefix: str = "", stored: bool =
         if isinstance(value, int) and abs(value) >= 2**63:  # neither torch nor NumPy takes it
             raise ValueError(f"{prefix}{name}={shown(value)}: allowed are whole numbers below 2^63")
     groups = {k: _group(hints[k], v, f"{prefix}{k}.", stored) for k, v in values.items() if is_group(hints[k])}
-    try:
+    with naming(prefix):
         return cls(**{**values, **groups})
-    except ValueError as error:
-        raise ValueError(f"{prefix}{error}") from error
 
 
 def _group(hint: Any, values: Any, prefix: str, stored: bool) -> Any:
@@ -55,10 +53,8 @@ def _group(hint: Any, values: Any, prefix: str, stored: bool) -> Any:
         return values
     if hint != Probe:
         return build(hint, values, prefix, stored)
-    try:
+    with naming(prefix):
         return probe_from(values)
-    except ValueError as error:
-        raise ValueError(f"{prefix}{error}") from error
 
 
 def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
@@ -98,11 +94,9 @@ def components() -> tuple[Component, ...]:
         if not isinstance(values, dict):
             raise ValueError(f"{where}: holds no keys; needed are key, on and off")
         read_as = {True: "on", False: "off"}  # by YAML
-        try:
-            own: dict[str, Any] = {read_as.get(key, str(key)): value for key, value in values.items()}
+        own: dict[str, Any] = {read_as.get(key, str(key)): value for key, value in values.items()}
+        with naming(f"{where}: ", TypeError):
             component = Component(name, **own | {"on": tuple(on) if isinstance(on := own.get("on"), list) else on})
-        except TypeError as error:
-            raise ValueError(f"{where}: {error}") from error
         if component.key not in known:
             raise ValueError(f"{where}: key={component.key} is no key of the configuration, such as model.noise")
         if twins := [other.name for other in declared if other.key == component.key]:

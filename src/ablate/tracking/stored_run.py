@@ -21,6 +21,7 @@ from PIL import Image
 
 from ablate.storage import digest, read_json, write_json
 from ablate.tracking.local_log import Status, logged_images, points, read_log, within
+from ablate.tracking.provenance import git_state, hardware
 from ablate.tracking.store import Store, parent_run, reason
 
 STATE = "digest_of_what_was_copied"  # a tag: the digest of what was on disk when all of it had been copied
@@ -188,7 +189,8 @@ def recorded_task(folder: Path, study: str, opened: Callable[[], Store]) -> Iter
     A minute after the task has ended the store is waited for no longer; `copy_tasks` copies what it did not take.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    record, status = TaskRecord(), Status.failed
+    code = {name: value for name, value in git_state().items() if name != "git_diff"}
+    record, status = TaskRecord(tags={"hardware": hardware(), **code}), Status.failed
     try:
         yield record
         status = record.status

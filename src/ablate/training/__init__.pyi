@@ -1,4 +1,3 @@
-from .checkpoint import LAST as LAST
 from .checkpoint import load_generator as load_generator
 from .checkpoint import read_checkpoint as read_checkpoint
 from .inference import Engine as Engine
@@ -16,6 +15,7 @@ from .module import PairGAN as PairGAN
 from .reporting import DivergenceError as DivergenceError
 from .reporting import MetricSink as MetricSink
 from .reporting import Validation as Validation
+from .settings import LAST as LAST
 from .settings import TRAINING_VERSION as TRAINING_VERSION
 from .settings import AdversarialLoss as AdversarialLoss
 from .settings import Reconstruction as Reconstruction

@@ -8,8 +8,6 @@ import torch
 from ablate.networks import Generator, GeneratorSpec
 from ablate.training.settings import TrainingSettings
 
-LAST = "last.ckpt"
-
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint with `weights_only=True`; a ValueError where the file is not one of this project."""

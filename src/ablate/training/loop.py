@@ -21,11 +21,11 @@ from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
 from ablate.threads import torch_threads
-from ablate.training.checkpoint import LAST, read_checkpoint
+from ablate.training.checkpoint import read_checkpoint
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
-from ablate.training.settings import TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
+from ablate.training.settings import LAST, TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
 Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]

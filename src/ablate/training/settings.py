@@ -8,6 +8,7 @@ from ablate.setting import Checked, setting
 #: Part of every run's identity: raise it when the same settings and pairs train another network.
 TRAINING_VERSION = 2
 SMALLEST_CROP = 32
+LAST = "last.ckpt"  # the checkpoint in the folder of a run
 DEVICES = ("auto", "cpu", "cuda")
 
 

@@ -13,12 +13,11 @@ from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from io import StringIO
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
-from trimesh.graph import connected_component_labels
 
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
 from ablate.dataset import equally_spaced, place_probe, read_poses
@@ -148,20 +147,14 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -
     named, met = {}, Counter[str]()
     for structure in sorted(scene.structures, key=lambda s: -abs(s.mesh.volume))[1:_MOST_SITES]:
         name = Path(str(structure.mesh.metadata.get("name", structure.tissue.name))).stem.replace("_", " ")
-        if (pose := hand.aim(middle_of(structure.mesh), grid.angles_deg)) is not None:
+        parts = structure.mesh.split(only_watertight=False)  # one kidney of two, not what lies between them
+        if (pose := hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)) is not None:
             met[name] += 1
             named[name if met[name] == 1 else f"{name} {met[name]}"] = pose
     for i in equally_spaced(np.arange(len(placed.poses)), _MOST_SITES):
         height, angle = divmod(int(placed.sites[i]), len(grid.angles_deg))
         named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = placed.poses[i]
     return named
-
-
-def middle_of(mesh: trimesh.Trimesh) -> np.ndarray:
-    """The middle of the largest connected part of a surface, (3,): one kidney of two, not what lies between them."""
-    part = connected_component_labels(mesh.face_adjacency, len(mesh.faces))
-    own = part == np.bincount(part, mesh.area_faces).argmax()
-    return np.average(mesh.triangles_center[own], axis=0, weights=mesh.area_faces[own])
 
 
 def check_server(port: int) -> None:

@@ -14,7 +14,6 @@ PAIRED_COLUMNS = (
     *("p_sites_holm", "sites", "dropped"),
 )
 LATTICE = 512  # levels, at least, that a bootstrap's differences are rounded to, over their range
-LARGEST = 1e100  # of what is compared: sums and squares of such values stay finite
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def paired_difference(
     Raises
     ------
     ValueError
-        When lengths differ, a value is NaN or finite beyond 1e100, or no pair is finite.
+        When lengths differ, a value is NaN, or no pair is finite.
     """
     values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     labels = np.arange(values.size) if clusters is None else np.asarray(clusters)
@@ -135,8 +134,6 @@ def paired_difference(
     if np.isnan(values).any() or np.isnan(reference).any():
         raise ValueError("values and reference may not hold NaN")
     finite = np.isfinite(values) & np.isfinite(reference)
-    if (np.abs([values[finite], reference[finite]]) > LARGEST).any():
-        raise ValueError(f"values and reference must lie within {LARGEST:g}")
     if not finite.any():
         raise ValueError("no pair of finite values to compare")
     differences, labels = values[finite] - reference[finite], labels[finite]

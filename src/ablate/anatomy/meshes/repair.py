@@ -14,6 +14,7 @@ from mapbox_earcut import triangulate_float64
 from skimage.measure import points_in_poly
 
 from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES, read_vtk
+from ablate.setting import naming
 
 logger = logging.getLogger(__name__)
 
@@ -32,14 +33,12 @@ def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     where `repair` does.
     """
     path = Path(path)
-    try:
+    with naming(f"{path}: not readable as a mesh: ", Exception):  # every reader raises its own
         if path.suffix.lower() in VTK_SUFFIXES:
             vertices, faces = read_vtk(path)
         else:
             mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
             vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception as error:  # every reader raises its own
-        raise ValueError(f"{path}: not readable as a mesh: {' '.join(str(error).split())}") from error
     return repair(vertices * mm_per_unit, faces, str(path))
 
 

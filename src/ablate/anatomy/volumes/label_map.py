@@ -16,7 +16,7 @@ import numpy as np
 from ablate.anatomy.scene_values import file_named, mapping, number, one_of, refusal
 from ablate.anatomy.tissue import Tissue
 from ablate.extras import installing
-from ablate.setting import shown
+from ablate.setting import naming, shown
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 VOXEL_MM = (0.01, 6.0)  # shortest and longest side; CT has slices of up to 5 mm
@@ -76,7 +76,7 @@ def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
     Raises ValueError when the file cannot be read to its end.
     """
     step = max(1, _SLAB_VOXELS // math.prod(volume.shape[:2]))
-    try:
+    with naming(f"{volume.path}: not readable to its end: ", Exception):  # every reader raises its own
         if volume.path.suffix.lower() == ".nrrd":  # which is read whole, NIfTI in parts
             import nrrd
 
@@ -88,8 +88,6 @@ def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
         for start in range(0, volume.shape[2], step):
             part = slice(start, min(start + step, volume.shape[2]))
             yield part, np.asanyarray(values[:, :, part]).reshape(*volume.shape[:2], -1)
-    except Exception as error:  # every reader raises its own
-        raise ValueError(f"{volume.path}: not readable to its end: {' '.join(str(error).split())}") from None
 
 
 def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:

@@ -23,7 +23,7 @@ from ablate.runs.job import Job
 from ablate.runs.store_copy import open_store
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
-from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
+from ablate.tracking import TaskRecord, hardware, recorded_task
 from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
@@ -44,10 +44,9 @@ def precision(jobs: Sequence[Job]) -> int:
     about = _about(settings, bench, counts, executions(settings)[1] if runs else ())
     print("\n".join(about), flush=True)
     folder = settings.results / "precision"
-    code = {k: v for k, v in git_state().items() if k != "git_diff"}
     try:
         with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
-            record.tags |= {"hardware": hardware(), "scene": settings.scene_name, **code}
+            record.tags["scene"] = settings.scene_name
             reference, *simulated = measure_simulator(bench)
             generated = measure_generators(bench, schedule_of(runs, settings), settings, reference)
             points, details = (

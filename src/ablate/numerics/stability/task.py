@@ -15,7 +15,7 @@ from ablate.numerics.stability.checks import CASES, run
 from ablate.runs.job import Job
 from ablate.runs.store_copy import open_store
 from ablate.storage import write_text
-from ablate.tracking import Status, git_state, hardware, recorded_task
+from ablate.tracking import Status, recorded_task
 from ablate.training import chosen_device
 
 COLUMNS = ["case", "dtype", "quantity", "measured", "bound", "holds"]
@@ -25,9 +25,7 @@ def stability(jobs: Sequence[Job]) -> int:
     """Run every case; return 1 if one fails, and name it on stderr."""
     settings = jobs[0].settings
     folder = settings.results / "stability"
-    code = {k: v for k, v in git_state().items() if k != "git_diff"}
     with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
-        record.tags |= {"hardware": hardware(), **code}
         rows, device = [], str(chosen_device(settings.training.device))
         with tqdm(CASES.items(), unit="case", desc="stability", disable=None) as bar:
             for name, case in bar:

@@ -197,10 +197,6 @@ def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures
                 z = (starts[row, 2] + directions[row, 2] * r) * of_tissue[tissue, 2] + begins_at[2]
                 decibels += texture_db(volume, x, y, z, of_tissue[tissue, 3])
             level[place] = decibels * (math.log(10) / 20)
-        if places == samples:
-            for sample in range(samples):
-                amplitude[row, sample] = exponential(level[sample])
-            continue
         level[places] = level[places - 1]
         for place in range(places):
             rise = (level[place + 1] - level[place]) / max(apart, 1e-9)
