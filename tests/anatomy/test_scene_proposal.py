@@ -61,6 +61,18 @@ def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
         proposed_scene(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "tissue"),
+    [
+        *[("hippocampus", "brain"), ("tibialis_anterior", "muscle"), ("gastrocnemius_left", "muscle")],
+        *[("left_ventricle", "blood"), ("lateral_ventricle_left", "csf"), ("hip_left", "bone"), ("tibia", "bone")],
+        *[("bladder_wall", "muscle"), ("urinary_bladder", "urine"), ("iliac_artery_left", "blood")],
+    ],
+)
+def test_longer_names_of_muscles_and_chambers_are_no_bones(name: str, tissue: str) -> None:
+    assert tissue_of_name(name)[0] == tissue
+
+
 def test_names_of_totalsegmentator_point_to_the_tissues_of_its_table() -> None:
     """The table was written without the patterns; where a name says nothing, it is soft tissue."""
     wrong = {name: (tissue_of_name(name)[0], tissue) for _, name, tissue in _table()}

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.ndimage import gaussian_filter
 
-from ablate.anatomy import Scene, Tissue
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+from ablate.anatomy import Scene, Structure, Tissue
+from ablate.ultrasound import ConvexProbe, LinearProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging import scatterers
 from ablate.ultrasound.imaging.speckle import Speckle
 from ablate.ultrasound.settings import SimulatorPrecision
@@ -97,14 +98,45 @@ def test_contrast_follows_the_scatterers(probe, small, ahead, slab, near, far) -
     assert level_db[1] - level_db[0] == pytest.approx(contrast_db, abs=1.0)
 
 
-def test_texture_keeps_the_mean_power(probe, small, ahead) -> None:
+@pytest.mark.parametrize(("contrast_db", "cell_mm"), [(4.0, 2.0), (6.0, 0.2)])
+def test_texture_keeps_the_mean_power(probe, small, ahead, contrast_db, cell_mm) -> None:
     plain = Tissue("t", attenuation_db_cm_mhz=0.0)
-    textured = replace(plain, texture_contrast_db=4.0, texture_mm=(2.0, 2.0, 2.0))
+    textured = replace(plain, texture_contrast_db=contrast_db, texture_mm=(cell_mm,) * 3)
     power = [
         (Simulator(Scene((), tissue, "s"), probe, small).render(ahead).envelope.astype(float) ** 2).mean()
         for tissue in (plain, textured)
     ]
     assert 10 * np.log10(power[1] / power[0]) == pytest.approx(0, abs=0.5)
+
+
+def test_texture_leaves_the_illumination_of_a_shallow_image_as_it_is(ahead, slab) -> None:
+    probe = LinearProbe(width_mm=10, depth_mm=2, frequency_mhz=15)
+    settings = SimulatorSettings(scanlines=16, axial_samples=512, rays=2, layers=1, image_shape=(32, 32))
+    plain = Tissue("t", attenuation_db_cm_mhz=0.0)
+    loss = slab(replace(plain, name="loss", attenuation_db_cm_mhz=20.0), 0.5, 1.0, 20.0)
+    envelopes = [
+        Simulator(Scene((loss,), replace(plain, texture_contrast_db=contrast), "s"), probe, settings).render(ahead)
+        for contrast in (0.0, 1e-6)
+    ]
+    np.testing.assert_allclose(envelopes[1].envelope, envelopes[0].envelope, rtol=1e-3)
+
+
+def test_a_thin_target_is_as_bright_in_gel_as_in_what_hardly_scatters() -> None:
+    """Rays beside it in the gel, out of its plane, light it as those do that cross it."""
+    target = Tissue("target", attenuation_db_cm_mhz=0.0, roughness=0.0)
+    gel = replace(target, name="gel", scatterer_density=0.0)
+    along_x = trimesh.creation.cylinder(
+        1.0, 200.0, transform=trimesh.transformations.rotation_matrix(np.pi / 2, (0, 1, 0))
+    )
+    scene = Scene((Structure(along_x.apply_translation((0, 0, 130)), target),), gel, "s")
+    faint = replace(scene, background=replace(target, name="faint", scatterer_sd=1e-5, scatterer_mean=0.0))
+    probe, settings = ConvexProbe(frequency_mhz=5.0), SimulatorSettings(axial_samples=1024, image_shape=(64, 64))
+    inside = Simulator(scene, probe, settings).scanline_tissues(np.eye(4)).T == 1
+    in_gel, expected = (
+        np.mean([simulator.render(np.eye(4), seed).envelope[inside].astype(float) ** 2 for seed in range(2)])
+        for simulator in (Simulator(s, probe, settings) for s in (scene, faint))
+    )
+    assert 10 * np.log10(in_gel / expected) == pytest.approx(0.0, abs=0.2)
 
 
 def test_another_seed_has_another_texture(probe, small, ahead) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from ablate.setting import Checked, check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 9
+SIMULATOR_VERSION = 10
 
 
 class PlanMode(StrEnum):

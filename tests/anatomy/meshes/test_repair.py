@@ -231,6 +231,25 @@ def test_pieces_of_one_mesh_that_overlap_are_told(caplog: pytest.LogCaptureFixtu
     assert "liver.obj: pieces of it lie in each other" in caplog.text
 
 
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+def test_a_concave_polygon_that_was_cut_into_a_fan_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, suffix: str
+) -> None:
+    corners = [(0, 0), (40, 0), (40, 10), (10, 10), (10, 40), (0, 40)]
+    points = [(x, y, z) for z in (0, 30) for x, y in corners]
+    walls = [(i, (i + 1) % 6, 6 + (i + 1) % 6, 6 + i) for i in range(6)]
+    polygons = [(5, 4, 3, 2, 1, 0), (6, 7, 8, 9, 10, 11), *walls]
+    if suffix == "obj":
+        lines = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {' '.join(str(i + 1) for i in p)}" for p in polygons]
+    else:
+        lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}", *(f"property float {c}" for c in "xyz")]
+        lines += [f"element face {len(polygons)}", "property list uchar int vertex_indices", "end_header"]
+        lines += [f"{x} {y} {z}" for x, y, z in points] + [f"{len(p)} {' '.join(map(str, p))}" for p in polygons]
+    (path := tmp_path / f"corner.{suffix}").write_text("\n".join([*lines, ""]))
+    warn_of_overlaps(scene_of(load_mesh(path)))
+    assert f"corner.{suffix}: 2 pairs of its triangles lie on each other" in caplog.text
+
+
 def test_rims_with_vertices_on_a_straight_line_and_rims_that_cross_themselves_are_closed(counts: Counts) -> None:
     square = np.array([(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)], float)
     mesh = repair(*prism(square, 3.0), "box")

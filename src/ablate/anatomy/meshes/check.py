@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 TOLERANCE_MM = 1e-4  # between surfaces that lie on each other
 _ASIDE_MM = 0.01  # from a surface, on its inner side: where a line begins that looks for another one
 _POINTS = 256  # at which a surface is looked at
+_FOLDED = 1 - 1e-6  # cosine between two triangles about their common edge: 0.1 degrees
 _FEWEST = 3  # of them: where surfaces cross, or a line meets an edge, there may be one
 _ASKEW = np.array([0.36, 0.48, 0.8])  # along no axis
 GAP = 1e-5  # of a structure's largest extent: vertices nearer than this count as one, and no ray finds such a gap
@@ -137,8 +138,20 @@ def overlaps(mesh: trimesh.Trimesh) -> int:
     return sum(bool((np.abs(np.cumsum(of_line)) > 1).any()) for of_line in by_line)
 
 
+def folds(mesh: trimesh.Trimesh) -> int:
+    """Number of pairs of triangles beside an edge that lie on each other, as of a concave polygon that is cut as a fan.
+
+    A line through both crosses the surface twice at one place, which counts once.
+    """
+    origin, end = np.moveaxis(mesh.vertices[mesh.face_adjacency_edges], 1, 0)
+    edge = trimesh.unitize(end - origin)
+    ways = [mesh.vertices[corner] - origin for corner in mesh.face_adjacency_unshared.T]
+    first, second = (trimesh.unitize(way - (way * edge).sum(1, keepdims=True) * edge) for way in ways)
+    return int(((first * second).sum(1) > _FOLDED).sum())
+
+
 def warn_of_overlaps(scene: Scene) -> None:
-    """Log a warning, once a scene, for what breaks the counting of crossings: `shared_walls`, and `overlaps`."""
+    """Log a warning, once a scene, for what breaks the counting of crossings: `shared_walls`, `folds`, `overlaps`."""
     if scene.looked_at:
         return
     object.__setattr__(scene, "looked_at", True)
@@ -147,7 +160,15 @@ def warn_of_overlaps(scene: Scene) -> None:
         where = f"share a wall (at {count} of {_POINTS} points)"
         logger.warning("%s and %s %s: the tissue behind it is wrong; let them overlap", first, second, where)
     for mesh in meshes:
-        if mesh.is_winding_consistent and overlaps(mesh) >= _FEWEST:  # or its winding tells nothing
+        if count := folds(mesh):
+            why = (
+                f"{count} pairs of its triangles lie on each other, as where concave polygons are cut into triangles: "
+            )
+            why += "the tissue behind them is wrong; export it with triangles"
+        elif mesh.is_winding_consistent and overlaps(mesh) >= _FEWEST:  # or its winding tells nothing
             why = "pieces of it lie in each other, and there it is a cavity; one file for each piece joins them"
+        else:
+            why = ""
+        if why:
             logger.warning("%s: %s", mesh.metadata.get("name", "a mesh"), why)
         mesh._cache.clear()

@@ -13,7 +13,7 @@ from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
-_TEXTURE_SPACING_MM = 0.3
+_TEXTURE_SPACING_MM = 0.3  # at most, of the samples that texture is computed at; a fine one has two a cell
 _MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
 Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
 
@@ -32,6 +32,9 @@ class Speckle:
         self._silent = np.array([settings.plan is PlanMode.auto and tissue.scatter_power == 0 for tissue in tissues])
         self._textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues])
         kernel = axial_kernel(probe, settings)
+        cells_mm = [min(t.texture_mm) for t in tissues if t.texture_contrast_db]
+        texture_mm = min([_TEXTURE_SPACING_MM, *(mm / 2 for mm in cells_mm)])
+        self._stride = max(1, int(texture_mm / self._spacing_mm))
         correlation = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]
         self._kernel_correlation = correlation / correlation[0]  # 1 at lag 0
         self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
@@ -57,9 +60,8 @@ class Speckle:
         own_db = own_db - 10 * np.log10(of_layers)
         node_db = (level_db.reshape(*shape[:2], nodes) + own_db).reshape(-1, nodes)
         ranges = np.broadcast_to(ranges_mm.astype(np.float32), labels.shape)
-        stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
-        textured = any((labels[:, ::stride] == tissue).any() for tissue in np.flatnonzero(self._textures[:, 3]))
-        places = max(2, shape[2] // stride) if textured else nodes
+        textured = any((labels[:, :: self._stride] == tissue).any() for tissue in np.flatnonzero(self._textures[:, 3]))
+        places = max(nodes, shape[2] // self._stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
         amplitude = np.empty(labels.shape, self._dtype)
         of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels

@@ -165,13 +165,17 @@ def _advance(
         hit = closest_of(address, asked, origin, direction, ray.reach_mm)
         group, direct, tissue, weight = ray.number // of_group, ray.reflections == 0, ray.medium, ray.weight
         medium = Medium(float(loss[tissue]), float(stretches[tissue]), silent[tissue])
+        # Bone bends rays out of the body. Such a ray loses nothing in the anechoic background and would fill the shadow
+        # behind the bone, so it insonifies no scanline there that is in the body.
+        astray = direct and medium.anechoic
+        if astray:
+            from_way_mm2 = bounce.aside(origin, at(origins, ray.number), at(directions, ray.number))
+            astray = from_way_mm2 > bounce.IN_BEAM_MM**2
         if direct:  # up to the surface, or to the end of the image
             ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
             first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, ahead_mm, weight)
             for k in range(first, last):
-                # A ray in the anechoic background does not insonify a scanline that is in the body: bone bends rays out
-                # of the body, and a ray that loses nothing outside would fill the shadow behind the bone.
-                if not medium.anechoic or empty[group, k]:
+                if not astray or empty[group, k]:
                     amplitudes[group, k] += level
                 level *= factor
         if hit.structure < 0:
@@ -229,7 +233,7 @@ def _advance(
                 energy = scattering.pressure * scattering.pressure
                 first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, apart_mm, weight * energy)
                 for k in range(first, last):
-                    if not medium.anechoic or empty[group, k]:
+                    if not astray or empty[group, k]:
                         amplitudes[group, k] += level
                     level *= factor
             faint_db = 0.0  # not read where a direct ray is transmitted alone

@@ -21,10 +21,10 @@ _KEYS = (
     ("L", "around the body, to the right on the page", {"angle_deg": 3.0}),
     ("U", "turn anticlockwise", {"roll_deg": -5.0}),
     ("O", "turn clockwise", {"roll_deg": 5.0}),
-    ("Y", "rock to the left", {"rock_deg": -3.0}),
-    ("H", "rock to the right", {"rock_deg": 3.0}),
-    ("T", "tilt up", {"tilt_deg": -3.0}),
-    ("G", "tilt down", {"tilt_deg": 3.0}),
+    ("Y", "rock the beam to the left", {"rock_deg": -3.0}),
+    ("H", "rock the beam to the right", {"rock_deg": 3.0}),
+    ("T", "tilt the beam down", {"tilt_deg": -3.0}),
+    ("G", "tilt the beam up", {"tilt_deg": 3.0}),
 )
 _HINTS = (
     '<div style="font-size:0.8em;color:#868e96;padding:0.3em 0.8em;line-height:1.5">'
