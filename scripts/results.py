@@ -65,7 +65,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
             before = json.loads(there.read_text())
             if before["hash"] != run.result["hash"]:
                 raise ValueError(f"{folder} holds another configuration of {run.name}: remove it or keep it elsewhere")
-            if before.get("metrics_version") == run.result["metrics_version"]:
+            if before == run.result:
                 continue
         folder.mkdir(parents=True, exist_ok=True)
         settings = run.spec["settings"]

@@ -17,7 +17,7 @@ from ablate.metrics import METRICS
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
 from ablate.settings.conf import components
-from ablate.storage import digest
+from ablate.storage import digest, write_json
 from support.finished_runs import result_of
 from support.studies import study_group
 
@@ -138,6 +138,10 @@ def test_what_is_kept_is_small_whole_and_without_the_machine(study: Path, script
     before = contents(tmp_path / "kept")
     assert not any(line.startswith("kept ") for line in script.keep(study, tmp_path / "kept")), "a second time"
     assert contents(tmp_path / "kept") == before
+    result = json.loads((study / "sa2h" / "seed1" / "result.json").read_text())
+    write_json(study / "sa2h" / "seed1" / "result.json", {**result, "ended": "2031-01-01T00:00:00+00:00"})
+    again = [line for line in script.keep(study, tmp_path / "kept") if line.startswith("kept ")]
+    assert again == ["kept sa2h/seed1"], "trained or scored again"
 
 
 def test_a_study_is_kept_in_pieces_from_several_machines(study: Path, script: ModuleType, tmp_path: Path) -> None:

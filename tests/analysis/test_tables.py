@@ -13,7 +13,7 @@ from scipy import stats
 from ablate import analysis
 from ablate.analysis import RESIMULATION
 from ablate.analysis.statistics.paired import PAIRED_COLUMNS
-from ablate.analysis.tables import latex_text
+from ablate.analysis.tables import cell_texts, latex_text
 from ablate.metrics import Direction, Metric
 
 
@@ -36,6 +36,29 @@ def test_cells_are_means_and_deviations_and_order_is_fixed(study, scalars):
     assert (cell["seeds"], cell["n"], cell["dropped"]) == (3, 72, 0)
     best = table.query("best")[["metric", "variant"]]
     assert set(map(tuple, best.to_numpy())) == {("psnr", "sa2h"), ("pchi2", "sa2h"), ("fd_speckle", "nsa2h")}
+
+
+def test_metrics_that_only_some_seeds_have_are_named(study, scalars):
+    assert analysis.partly_scored(analysis.comparison_table(study, scalars)) == [
+        "Not all seeds have each metric: FD speckle of sa2h (1 of 3), Parameters of sa2h (1 of 3), FD speckle of nsa2h "
+        "(1 of 3), Parameters of nsa2h (1 of 3); means and tests are over the seeds that have it; repeat the command "
+        "of the runs with this metric."
+    ]
+    assert analysis.partly_scored(analysis.comparison_table(study)) == []
+    part = study[(study["variant"] != "sa2h") | (study["metric"] != "pchi2") | (study["seed"] != 1)]
+    (line,) = analysis.partly_scored(analysis.comparison_table(part))
+    assert "pχ² of sa2h (2 of 3);" in line
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(10, "10"), (9999, "9999"), (103_984, "0.104M"), (57_170_242, "57.2M"), (1_204_000_000, "1.2G")]
+)
+def test_numbers_of_parameters_are_short_and_true(count: int, text: str) -> None:
+    rows = [("sa2h", 0, "parameters", float(count))]
+    scalars = pd.DataFrame(rows, columns=["variant", "seed", "metric", "value"])
+    none = pd.DataFrame(columns=["variant", "seed", "frame", "site", "metric", "value"]).astype({"value": float})
+    cells = cell_texts(analysis.comparison_table(none, scalars))[2]
+    assert cells["sa2h", "parameters"][0] == text
 
 
 def test_formats_hold_every_variant_and_round_trip(study, scalars):

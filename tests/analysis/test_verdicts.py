@@ -202,6 +202,15 @@ def test_a_cost_judges_nothing_because_the_seeds_of_a_network_share_one_time() -
     assert (row["verdict"], row["why"]) == ("undecided", "it has no metric that judges it")
 
 
+def test_a_metric_that_this_command_does_not_know_is_named_as_such() -> None:
+    pair = with_and_without("none")
+    rows = [(v, s, "", float(s)) for v in pair.cells.index for s in range(3)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="my_bias")
+    own = replace(COMPONENTS[NAMES.index("att")], metric="my_bias")
+    row = analysis.verdict_table(runs.join(pair.cells, on="variant"), pair, [own]).iloc[0]
+    assert row["why"] == "its metric is not known to this command: name it in metrics="
+
+
 def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:
     means = means_of(cells, design, response(cells, {}, {}))
     nothing = verdict_table(means, None)

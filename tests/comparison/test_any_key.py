@@ -64,6 +64,12 @@ def test_an_order_of_labels_that_follows_the_seed_is_no_component(tmp_path: Path
     assert (judged.design.factors, len(runs)) == (["model.attenuation"], 5)
 
 
+def test_a_swept_order_of_labels_has_its_seed_in_the_table_of_runs(tmp_path: Path) -> None:
+    judged, _ = answered(swept(tmp_path, "encoding=arbitrary", "encoding_seed=0,1"))
+    of_labels = judged.runs.set_index("variant")["encoding_seed"].to_dict()
+    assert sorted(of_labels.values()) == [0, 1]
+
+
 def test_what_some_labels_tell_is_said_of_the_others(tmp_path: Path) -> None:
     jobs = swept(tmp_path, "training.steps=4,5")
     answered(jobs)

@@ -66,6 +66,12 @@ def test_no_two_cells_of_the_factorial_share_a_place(factorial: list[Job]) -> No
     assert len({job.settings.model for job in factorial}) == 32
 
 
+def test_the_factorial_of_a_preset_has_its_map_and_its_reference() -> None:
+    jobs = jobs_of(["+study=factorial", "preset=paper"])
+    assert {str(job.settings.model.attenuation) for job in jobs} == {"integral", "none"}
+    assert "sa2h" in {job.label for job in jobs}
+
+
 OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 6}
 
 

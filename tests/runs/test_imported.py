@@ -108,6 +108,18 @@ def test_frames_of_no_named_site_are_said(folder: Path, runs: Path, tmp_path: Pa
     assert any("sites: none are named" in line for line in data_of(runs).about["left_out"]) is not named
 
 
+def test_settings_that_decide_nothing_about_pairs_are_said(folder: Path, runs: Path, tmp_path: Path) -> None:
+    own = bare(folder, tmp_path)
+    for name in ("segmentation", "image"):  # sites are what stands before the last _
+        for k, path in enumerate(sorted((own / name).glob("*.png"))):
+            path.rename(own / name / f"{k:04}_us.png")
+    where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={runs}", "dataset.frames=3"]
+    assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
+    left_out = data_of(runs).about["left_out"]
+    assert any("sites: none are named" in line for line in left_out)
+    assert any("dataset.frames=3: all" in line for line in left_out)
+
+
 def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenuation(
     folder: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -37,6 +37,15 @@ def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
     assert parent_run(second, "other") != parent
 
 
+def test_another_experiment_has_runs_of_its_own(runs: Path) -> None:
+    known = [open_store(runs, None, name) for name in ("ablate", "mine")]
+    parents = [parent_run(store, "study") for store in known]
+    children = [child_run(*pair, "sa2h/seed0", "abc", TAGS) for pair in zip(known, parents, strict=True)]
+    for store, *made in zip(known, parents, children, strict=True):
+        held = {run.info.run_id for run in store.client.search_runs([store.experiment_id])}
+        assert held == set(made)
+
+
 def edited(client: MlflowClient, parent: str, child: str) -> None:
     """What a person may change in MLflow's pages."""
     client.rename_experiment(client.get_run(parent).info.experiment_id, "mine")

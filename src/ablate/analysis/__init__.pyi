@@ -35,6 +35,7 @@ from .statistics.verdicts import verdict_table as verdict_table
 from .statistics.work_precision import observed_order as observed_order
 from .statistics.work_precision import pareto_front as pareto_front
 from .tables import comparison_table as comparison_table
+from .tables import partly_scored as partly_scored
 from .tables import to_latex as to_latex
 from .tables import to_markdown as to_markdown
 from .tables import to_text as to_text

@@ -91,6 +91,16 @@ def comparison_table(
     return table.sort_values(["variant", "metric"], key=lambda names: names.map(order.index), ignore_index=True)
 
 
+def partly_scored(table: pd.DataFrame) -> list[str]:
+    """One sentence on the metrics of a `comparison_table` that only some seeds of a variant have; none where all do."""
+    networks = table[(table["variant"] != RESIMULATION) & (table["metric"] != FRAME_TIME)]
+    trained = networks.groupby("variant")["seeds"].transform("max")
+    lacking = networks.assign(trained=trained)[networks["seeds"] < trained].to_dict("records")
+    rows = [f"{metric_of(r['metric']).label} of {r['variant']} ({r['seeds']} of {r['trained']})" for r in lacking]
+    again = "means and tests are over the seeds that have it; repeat the command of the runs with this metric"
+    return [f"Not all seeds have each metric: {', '.join(rows)}; {again}."] if rows else []
+
+
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     """A `comparison_table` with one row a variant, for `table.csv`.
 
@@ -118,7 +128,8 @@ def cell_texts(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[st
         sd = "" if pd.isna(row["sd"]) else f"{row['sd']:.{decimals}f}"
         mean = NOTHING if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
         if row["metric"] == "parameters":
-            mean, sd = f"{row['mean'] / 1e6:.3g}M", ""
+            count, sd = row["mean"], ""
+            mean = f"{count:.0f}" if count < 1e4 else f"{count / 1e6:.3g}M" if count < 1e9 else f"{count / 1e9:.3g}G"
         cells[row["variant"], row["metric"]] = (mean, sd, bool(row["best"]))
     return variants, metrics, cells
 

@@ -130,6 +130,7 @@ class Answers:
 def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
     """Find the design of runs, which may show several anatomies, and judge its components."""
     levels = {run.label: levels_of(run.spec["semantic"]) for run in runs}
+    told = {run.label: run.changed | levels[run.label] for run in runs}  # with seeds and groups that a label names
     factors = factors_of(runs)
     judged = analysis.with_undeclared(components(), factors)
     block = {run.data: str(run.spec["semantic"]["data"]["scene"].get("anatomy_seed", "")) for run in runs}
@@ -141,7 +142,7 @@ def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
     spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     effects = pd.DataFrame() if design is None else analysis.effects_table(means, design)
     verdicts = analysis.verdict_table(means, design, judged, spreads)
-    return Answers(design, means, effects, verdicts, _wide(per_image, scalars, levels, factors), judged)
+    return Answers(design, means, effects, verdicts, _wide(per_image, scalars, told, factors), judged)
 
 
 def _wide(

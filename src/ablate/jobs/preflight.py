@@ -21,6 +21,7 @@ from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.training import TrainingPrecision
 from ablate.training.settings import SMALLEST_CROP
+from ablate.ultrasound.settings import SimulatorSettings, TimeGain
 
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 
@@ -104,6 +105,9 @@ def _check_scene(s: StudySettings) -> int:
     """Check that there is a scene with probe sites; returns the number of training frames that they can give."""
     sites: SiteGrid | None = fetal_sites()
     of_render = s.pose or s.plane  # then the folder may do without sites
+    given = s.simulator
+    if given.tgc_db_cm_mhz != SimulatorSettings.tgc_db_cm_mhz and (given.tgc is TimeGain.patient or given.time_gain_db):
+        raise ConfigurationError("simulator.tgc_db_cm_mhz: allowed with simulator.tgc=fixed and no time_gain_db")
     if s.scene.kind is SceneKind.folder:
         if not s.scene.folder:
             raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")

@@ -187,6 +187,8 @@ def _require_judged(component: Component, design: Design | None) -> tuple[str, f
     if component.metric is None or component.band is None:
         raise ValueError(UNDECLARED)
     judge = metric_of(component.metric)
+    if not judge.computed and judge.group is not Group.cost:
+        raise ValueError("its metric is not known to this command: name it in metrics=")
     if judge.better is Direction.none or judge.group is Group.cost:  # all runs of a network have one measured time
         raise ValueError("it has no metric that judges it")
     if design is None or component.key not in design.factors:
