@@ -67,7 +67,8 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
                 raise ValueError(f"{folder} holds another configuration of {run.name}: remove it or keep it elsewhere")
             if before == run.result:
                 continue
-        folder.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
         settings = run.spec["settings"]
         scene = {name: Path(v).name if name == "folder" and v else v for name, v in settings["scene"].items()}
         own = {"runs_dir": "runs", "tracking": {**settings.get("tracking", {}), "uri": None}, "scene": scene}

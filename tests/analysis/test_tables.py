@@ -41,8 +41,8 @@ def test_cells_are_means_and_deviations_and_order_is_fixed(study, scalars):
 def test_metrics_that_only_some_seeds_have_are_named(study, scalars):
     assert analysis.partly_scored(analysis.comparison_table(study, scalars)) == [
         "Not all seeds have each metric: FD speckle of sa2h (1 of 3), Parameters of sa2h (1 of 3), FD speckle of nsa2h "
-        "(1 of 3), Parameters of nsa2h (1 of 3); means and tests are over the seeds that have it; repeat the command "
-        "of the runs with this metric."
+        "(1 of 3), Parameters of nsa2h (1 of 3); means and tests are over the seeds that have it; the command of the "
+        "others, with this metric, scores them."
     ]
     assert analysis.partly_scored(analysis.comparison_table(study)) == []
     part = study[(study["variant"] != "sa2h") | (study["metric"] != "pchi2") | (study["seed"] != 1)]

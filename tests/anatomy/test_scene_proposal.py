@@ -65,8 +65,20 @@ def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
     ("name", "tissue"),
     [
         *[("hippocampus", "brain"), ("tibialis_anterior", "muscle"), ("gastrocnemius_left", "muscle")],
-        *[("left_ventricle", "blood"), ("lateral_ventricle_left", "csf"), ("hip_left", "bone"), ("tibia", "bone")],
-        *[("bladder_wall", "muscle"), ("urinary_bladder", "urine"), ("iliac_artery_left", "blood")],
+        *[
+            ("heart_left_ventricle", "blood"),
+            ("left_ventricle_myocardium", "myocardium"),
+            ("lateral_ventricle_left", "csf"),
+            ("hip_left", "bone"),
+            ("tibia", "bone"),
+        ],
+        *[
+            ("bladder_wall", "muscle"),
+            ("urinary_bladder", "urine"),
+            ("gall_bladder_wall", "bile"),
+            ("tibialis_anterior_artery", "blood"),
+            ("iliac_artery_left", "blood"),
+        ],
     ],
 )
 def test_longer_names_of_muscles_and_chambers_are_no_bones(name: str, tissue: str) -> None:

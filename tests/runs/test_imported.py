@@ -117,7 +117,7 @@ def test_settings_that_decide_nothing_about_pairs_are_said(folder: Path, runs: P
     assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
     left_out = data_of(runs).about["left_out"]
     assert any("sites: none are named" in line for line in left_out)
-    assert any("dataset.frames=3: all" in line for line in left_out)
+    assert any("dataset.frames: all 12 pairs" in line for line in left_out)
 
 
 def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenuation(

@@ -97,7 +97,7 @@ def partly_scored(table: pd.DataFrame) -> list[str]:
     trained = networks.groupby("variant")["seeds"].transform("max")
     lacking = networks.assign(trained=trained)[networks["seeds"] < trained].to_dict("records")
     rows = [f"{metric_of(r['metric']).label} of {r['variant']} ({r['seeds']} of {r['trained']})" for r in lacking]
-    again = "means and tests are over the seeds that have it; repeat the command of the runs with this metric"
+    again = "means and tests are over the seeds that have it; the command of the others, with this metric, scores them"
     return [f"Not all seeds have each metric: {', '.join(rows)}; {again}."] if rows else []
 
 
@@ -129,7 +129,9 @@ def cell_texts(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[st
         mean = NOTHING if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
         if row["metric"] == "parameters":
             count, sd = row["mean"], ""
-            mean = f"{count:.0f}" if count < 1e4 else f"{count / 1e6:.3g}M" if count < 1e9 else f"{count / 1e9:.3g}G"
+            mean = (
+                f"{count:.0f}" if count < 1e4 else f"{count / 1e6:.3g}M" if count < 9.995e8 else f"{count / 1e9:.3g}G"
+            )
         cells[row["variant"], row["metric"]] = (mean, sd, bool(row["best"]))
     return variants, metrics, cells
 

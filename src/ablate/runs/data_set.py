@@ -186,14 +186,12 @@ def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> 
             f"shadow_contrast and thin_contrast: the fan of the images is not that of probe.{probe}, so depths are not "
             "known and the Gaussian of mae_smooth is in px"
         )
-    if len({name.removeprefix(site) for name, site in zip(checked.names, checked.sites, strict=True)}) == 1:
+    same_rest = len({name.removeprefix(site) for name, site in zip(checked.names, checked.sites, strict=True)}) == 1
+    if same_rest and not (checked.folder / "frames.csv").exists():
         left_out.append("sites: none are named, so each frame has its own; those alike may lie in training and in test")
-    if settings.dataset.frames < len(checked.names):
-        left_out.append(
-            f"dataset.frames={settings.dataset.frames}: all {len(checked.names)} pairs of the folder are used"
-        )
+    left_out.append(f"dataset.frames: all {len(checked.names)} pairs of the folder are used")
     if checked.parts is not None:
-        left_out.append("dataset.split, validation, test and seed: frames.csv says in which part each frame is")
+        left_out.append("dataset.validation, test and seed: frames.csv says in which part each frame is")
     if checked.tissues is None:
         left_out.append("tissues: without labels.csv the labels are ordered by number, and all count as solid tissue")
     return left_out

@@ -166,8 +166,8 @@ def _run(
     noted = store.lock.with_name(_NOTED)
     with FileLock(store.lock, timeout=_LOCK_S):
         client, ids = store.client, known_json(noted)
-        run = _run_of(client, ids.get(key := digest([store.uri, store.experiment_id, known_by])))
-        if run is None:
+        run = _run_of(client, ids.get(key := digest([store.uri, known_by])))
+        if run is None or run.info.experiment_id != store.experiment_id:
             matches = client.search_runs([store.experiment_id], query, ViewType.ALL)
             # Active ones come before deleted ones.
             run = min(matches, key=lambda run: run.info.lifecycle_stage, default=None)

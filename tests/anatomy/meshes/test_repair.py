@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene, Structure, load_tissues
-from ablate.anatomy.meshes.check import overlaps, shared_walls, warn_of_overlaps
+from ablate.anatomy.meshes.check import folds, overlaps, shared_walls, warn_of_overlaps
 from ablate.anatomy.meshes.repair import cap_open_ends, load_mesh, odd_edges, repair
 
 Counts = Callable[[], tuple[int, ...]]
@@ -248,6 +248,18 @@ def test_a_concave_polygon_that_was_cut_into_a_fan_is_told(
     (path := tmp_path / f"corner.{suffix}").write_text("\n".join([*lines, ""]))
     warn_of_overlaps(scene_of(load_mesh(path)))
     assert f"corner.{suffix}: 2 pairs of its triangles lie on each other" in caplog.text
+
+
+def test_a_filler_of_a_long_edge_that_has_no_height_lies_on_nothing() -> None:
+    box = trimesh.creation.box((40.0, 30.0, 20.0))
+    for number, (a, b) in enumerate(box.face_adjacency_edges):
+        other = box.face_adjacency[number][1]
+        (c,) = set(box.faces[other]) - {a, b}
+        middle = (box.vertices[a] + box.vertices[b]) / 2 + 1e-6 * (box.vertices[c] - box.vertices[a]) / 20
+        faces = [*np.delete(box.faces, other, axis=0), (a, 8, c), (8, b, c), (a, b, 8)]
+        mesh = trimesh.Trimesh(np.vstack([box.vertices, middle]), faces, process=False)
+        assert len(odd_edges(mesh.faces)) == 0
+        assert folds(mesh) == 0
 
 
 def test_rims_with_vertices_on_a_straight_line_and_rims_that_cross_themselves_are_closed(counts: Counts) -> None:

@@ -146,8 +146,10 @@ def folds(mesh: trimesh.Trimesh) -> int:
     origin, end = np.moveaxis(mesh.vertices[mesh.face_adjacency_edges], 1, 0)
     edge = trimesh.unitize(end - origin)
     ways = [mesh.vertices[corner] - origin for corner in mesh.face_adjacency_unshared.T]
-    first, second = (trimesh.unitize(way - (way * edge).sum(1, keepdims=True) * edge) for way in ways)
-    return int(((first * second).sum(1) > _FOLDED).sum())
+    off_edge = np.array([way - (way * edge).sum(1, keepdims=True) * edge for way in ways])
+    height_mm = np.linalg.norm(off_edge, axis=-1)
+    alike = (off_edge[0] * off_edge[1]).sum(1) > _FOLDED * height_mm[0] * height_mm[1]
+    return int((alike & (height_mm.min(0) > TOLERANCE_MM)).sum())
 
 
 def warn_of_overlaps(scene: Scene) -> None:
@@ -160,15 +162,11 @@ def warn_of_overlaps(scene: Scene) -> None:
         where = f"share a wall (at {count} of {_POINTS} points)"
         logger.warning("%s and %s %s: the tissue behind it is wrong; let them overlap", first, second, where)
     for mesh in meshes:
+        name = mesh.metadata.get("name", "a mesh")
         if count := folds(mesh):
-            why = (
-                f"{count} pairs of its triangles lie on each other, as where concave polygons are cut into triangles: "
-            )
-            why += "the tissue behind them is wrong; export it with triangles"
+            why = f"{count} pairs of its triangles lie on each other, as where concave polygons are cut into triangles"
+            logger.warning("%s: %s: the tissue behind them is wrong; export it with triangles", name, why)
         elif mesh.is_winding_consistent and overlaps(mesh) >= _FEWEST:  # or its winding tells nothing
             why = "pieces of it lie in each other, and there it is a cavity; one file for each piece joins them"
-        else:
-            why = ""
-        if why:
-            logger.warning("%s: %s", mesh.metadata.get("name", "a mesh"), why)
+            logger.warning("%s: %s", name, why)
         mesh._cache.clear()

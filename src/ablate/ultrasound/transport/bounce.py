@@ -213,6 +213,13 @@ def aside(point: Vector, start: Vector, direction: Vector) -> float:
 
 
 @compiled
+def strays(origin: Vector, direction: Vector, length_mm: float, start: Vector, straight: Vector) -> bool:
+    """Whether a ray is `IN_BEAM_MM` off its straight way somewhere on this length: it is farthest at an end."""
+    off_mm2 = aside(origin, start, straight), aside(along(origin, direction, length_mm), start, straight)
+    return max(off_mm2[0], off_mm2[1]) > IN_BEAM_MM**2
+
+
+@compiled
 def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float) -> float:
     """Amplitude that the element receives: weight |R_p| cos^n, less the loss of both ways."""
     towards, nepers = dot(scattering.reflected, link.to_element), (link.two_way_db + link.aside_db) * _NEPER_PER_DB

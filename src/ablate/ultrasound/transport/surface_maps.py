@@ -146,11 +146,12 @@ def _follow(
         structure = triangle = np.int32(-1)
         while displayed < depth_mm and weight > 0:
             stretch, loss_db_mm = float(media.stretch[here]), float(media.loss_db_mm[here])
-            hit = closest_of(address, asked, origin, direction, (depth_mm - displayed) / stretch)
+            reach_mm = (depth_mm - displayed) / stretch
+            hit = closest_of(address, asked, origin, direction, reach_mm)
             length_mm = hit.distance_mm + step_mm if hit.structure >= 0 else math.inf
-            bent = bounce.aside(origin, start, straight) > bounce.IN_BEAM_MM**2
+            to_mm = hit.distance_mm if hit.structure >= 0 else reach_mm
             # The gel around a body does not light its inside, see `tracing`.
-            heard = not (media.anechoic[here] and bent)
+            heard = not (media.anechoic[here] and bounce.strays(origin, direction, to_mm, start, straight))
             to_mm = min(displayed + length_mm * stretch, depth_mm)
             ahead_db = loss_db_mm * ((filled + 0.5) * node_mm - displayed) / stretch
             level = weight * 10 ** (-(loss_db + ahead_db) / 10) if heard else 0.0

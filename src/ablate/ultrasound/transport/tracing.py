@@ -169,8 +169,8 @@ def _advance(
         # behind the bone, so it insonifies no scanline there that is in the body.
         astray = direct and medium.anechoic
         if astray:
-            from_way_mm2 = bounce.aside(origin, at(origins, ray.number), at(directions, ray.number))
-            astray = from_way_mm2 > bounce.IN_BEAM_MM**2
+            to_mm = hit.distance_mm if hit.structure >= 0 else ray.reach_mm
+            astray = bounce.strays(origin, direction, to_mm, at(origins, ray.number), at(directions, ray.number))
         if direct:  # up to the surface, or to the end of the image
             ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
             first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, ahead_mm, weight)
