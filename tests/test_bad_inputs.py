@@ -73,7 +73,6 @@ def scene_folder(folder: Path, **changes: object) -> None:
 
 # Each with the words of the answer, as a regular expression.
 COMMAND_LINES: list[tuple[list[str], str]] = [
-    (["simulator.tgc_db_cm_mhz=0.9"], r"allowed with simulator\.tgc=fixed"),
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, lsa2h, nsa2h, sa2h, "),
     (["+study=everything"], r"study=everything: allowed are add_one_in, encoding"),
@@ -128,6 +127,8 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["scene=folder"], r"scene\.folder"),
     (["scene=pairs", "scene.folder=empty"], r"empty"),
     (["task=preview", "scene=pairs", "scene.folder=empty"], r"task=preview: pairs made elsewhere have no scene"),
+    # What decides nothing.
+    (["simulator.tgc_db_cm_mhz=0.9"], r"allowed with simulator\.tgc=fixed"),
 ]
 
 

@@ -14,9 +14,9 @@ FEWEST_PIXELS = 100  # speckle of 22 grey levels then leaves 2 in a mean
 SMOOTH_SIGMA_MM = 1.5
 SMOOTH_SIGMA_PX = 4.0  # where the size of a pixel is not known
 BAND_MM = 2.0  # of bone below its surface
-_smooth = partial(gaussian_filter, mode="constant", truncate=3.0)  # of an image that is 0 outside
 RING_MM = (2.0, 5.0)  # from the band, of its surround
 FEWEST_MM2 = 4.0  # of a band and of its surround
+_smooth = partial(gaussian_filter, mode="constant", truncate=3.0)  # of an image that is 0 outside
 
 
 def relative_attenuation(

@@ -23,8 +23,8 @@ logger = logging.getLogger(__name__)
 TOLERANCE_MM = 1e-4  # between surfaces that lie on each other
 _ASIDE_MM = 0.01  # from a surface, on its inner side: where a line begins that looks for another one
 _POINTS = 256  # at which a surface is looked at
-_FOLDED = 1 - 1e-6  # cosine between two triangles about their common edge: 0.1 degrees
 _FEWEST = 3  # of them: where surfaces cross, or a line meets an edge, there may be one
+_FOLDED = 1 - 1e-6  # cosine between two triangles about their common edge: 0.1 degrees
 _ASKEW = np.array([0.36, 0.48, 0.8])  # along no axis
 GAP = 1e-5  # of a structure's largest extent: vertices nearer than this count as one, and no ray finds such a gap
 #: Largest extent of a body: from a superficial gland to more than a whole adult. An abdomen whose metres are read as mm
