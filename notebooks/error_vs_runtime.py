@@ -48,7 +48,8 @@ Image(png, width=1000)
 times = ["ms", "lower", "upper"]
 wide = points.pivot(index=["series", *times], columns="metric", values="error").reset_index().sort_values("ms")
 judged = "pchi2" if "pchi2" in wide else points["metric"].iloc[0]
-front = pareto_front(wide["ms"].to_numpy(), wide[judged].to_numpy(), wide["lower"].to_numpy(), wide["upper"].to_numpy())
+error = wide[judged].map(metric_of(judged).badness)  # of the PSNR, whose larger values are better, its negative
+front = pareto_front(wide["ms"].to_numpy(), error.to_numpy(), wide["lower"].to_numpy(), wide["upper"].to_numpy())
 print(f"on the front of time and {metric_of(judged).label}:", ", ".join(wide["series"].iloc[front]))
 wide.round(3)
 

@@ -119,8 +119,8 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["metrics=[leaves.f]"], r"metrics=leaves\.f: SystemExit: 0; allowed are"),
     (["variant=custom", "model.target=leaves.F"], r"model\.target=leaves\.F: SystemExit: 0; allowed is"),
     (["dataset.poses=archive.npy"], r"dataset\.poses=archive\.npy: is an archive \(\.npz\), allowed is one array"),
-    (["dataset.poses=semicolons.csv"], r"no column x; the columns are 'x;y;z', and x, .* are needed, with commas"),
-    (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones of 32 bits as site, not '.*9999"),
+    (["dataset.poses=semicolons.csv"], r"its first line must be x,y,z,qw,qx,qy,qz and, if wanted, site, not x;y;z"),
+    (["dataset.poses=site.csv"], r"line 2: allowed are numbers, and whole ones of 32 bits as site, not '.*9999"),
     (["runs_dir='100%/runs'"], r"100%/runs: allowed is a path without %"),
     (["runs_dir='what?/runs'", "task=compare"], r"what\?/runs: allowed is a path without \?"),
     # Scenes and pairs.

@@ -4,6 +4,7 @@ import json
 import random
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -214,8 +215,7 @@ def _run_files(*names: str) -> Callable[[Path, Path], Attempt]:
 def _read_study(job: "Job") -> None:
     """What `task=plan` and `task=compare` read of a study, without figures and without MLflow."""
     from ablate.analysis import cautions
-    from ablate.comparison.compare import stored_pictures
-    from ablate.comparison.reading import answers, provenance, scored_frames
+    from ablate.comparison.reading import answers, pictures, provenance, scored_frames
     from ablate.comparison.usable_runs import usable_runs
     from ablate.jobs.preflight import check
     from ablate.tasks.plan import show_progress
@@ -226,7 +226,8 @@ def _read_study(job: "Job") -> None:
     if usable.runs:
         per_image, _ = scored_frames(usable.runs)
         answers(usable.all, job.settings.reference)
-        stored_pictures(usable.runs, job.settings.reference)
+        with suppress(OSError, ValueError, KeyError):  # as `write_comparison` does
+            pictures(usable.runs, job.settings.reference)
         provenance(usable.all), cautions(per_image, job.settings.reference)
 
 

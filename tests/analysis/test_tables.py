@@ -38,15 +38,18 @@ def test_cells_are_means_and_deviations_and_order_is_fixed(study, scalars):
     assert set(map(tuple, best.to_numpy())) == {("psnr", "sa2h"), ("pchi2", "sa2h"), ("fd_speckle", "nsa2h")}
 
 
-def test_metrics_that_only_some_seeds_have_are_named(study, scalars):
-    assert analysis.partly_scored(analysis.comparison_table(study, scalars)) == [
-        "Not all seeds have each metric: FD speckle of sa2h (1 of 3), Parameters of sa2h (1 of 3), FD speckle of nsa2h "
-        "(1 of 3), Parameters of nsa2h (1 of 3); means and tests are over the seeds that have it; the command of the "
-        "others, with this metric, scores them."
+def test_metrics_that_only_some_runs_have_are_named(study, scalars):
+    def lines(*of: pd.DataFrame) -> list[str]:
+        wide = analysis.run_means(*of).pivot(index=["variant", "seed", "data"], columns="metric", values="value")
+        return analysis.partly_scored(wide.reset_index(), {"psnr", "pchi2", "fd_speckle"})
+
+    assert lines(study, scalars) == [
+        "Not all runs have each metric: FD speckle of nsa2h (1 of 3), FD speckle of sa2h (1 of 3); means and tests are "
+        "over the runs that have it; the command of the others, with this metric, scores them."
     ]
-    assert analysis.partly_scored(analysis.comparison_table(study)) == []
+    assert lines(study, scalars.iloc[:0]) == []
     part = study[(study["variant"] != "sa2h") | (study["metric"] != "pchi2") | (study["seed"] != 1)]
-    (line,) = analysis.partly_scored(analysis.comparison_table(part))
+    (line,) = lines(part, scalars.iloc[:0])
     assert "pχ² of sa2h (2 of 3);" in line
 
 

@@ -111,15 +111,6 @@ def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
             usable_runs(jobs[0].settings.study_dir)
 
 
-def test_different_code_of_runs_of_an_earlier_version_is_not_mixed_either(tmp_path: Path) -> None:
-    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
-    check_alike([finish(job, sources={"my.bias": "1"}) for job in jobs])
-    for source in ("2", "bias 2"):
-        finish(jobs[-1], sources={"my.bias": source})
-        with pytest.raises(ConfigurationError, match="by different code"):
-            usable_runs(jobs[0].settings.study_dir)
-
-
 def test_a_metric_is_known_by_the_name_that_its_values_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = "from ablate.metrics import Direction, Metric\ndef bias(pair):\n    return 1.0\n"
     code += "error = Metric('bias', 'Bias', 'share', Direction.lower, of_image=bias)\n"

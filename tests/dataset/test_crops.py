@@ -176,7 +176,6 @@ def test_a_resumed_loader_continues_where_the_other_was(pairs: Pairs, workers: i
     made = crops(pairs, flip=True)
     whole = [made[step] for step in range(20)]
     rest = CropLoader(crops(pairs, in_memory_bytes, flip=True), 5, 20, workers)
-    assert len(rest) == 15
     assert all(same(a, b) for a, b in zip(whole[5:], rest, strict=True))
 
 

@@ -65,14 +65,6 @@ def test_a_set_opened_again_is_the_same(pairs: Pairs) -> None:
     assert again.mask().all()
 
 
-@pytest.mark.parametrize(("shape", "tissue"), [((24, 41), "gel"), (SHAPE, "fat")])
-def test_a_folder_of_other_pairs_is_not_taken_for_these(empty: Pairs, shape: tuple[int, int], tissue: str) -> None:
-    placed = empty.poses, empty.sites, empty.split, np.ones(shape, bool)
-    with pytest.raises(ValueError, match=r"set: holds pairs of .*'gel'.*take another folder"):
-        create_pairs(empty.folder, *placed, 4, [tissue], {"a": 1})
-    assert len(create_pairs(empty.folder, *placed[:3], np.ones(SHAPE, bool), 4, ["gel"], {"a": 1})) == len(empty)
-
-
 def test_a_damaged_shard_is_named_on_reading_with_what_mends_it(pairs: Pairs) -> None:
     flip(pairs.shard_file("target", 2))
     message = r"target/c/2/0/0, 'target' of frames 8 to 11.*checksum; .*task=simulate"

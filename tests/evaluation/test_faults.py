@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from ablate.dataset import Part, counted_clipping, decode_grey_levels
-from ablate.evaluation import ImageSource, Scores, check_stored_scores, score_run
-from ablate.metrics.metric import STORED_COLUMNS
+from ablate.evaluation import ImageSource, Scores, score_run
 
 FAN = torch.ones(10, 100, dtype=torch.bool)
 
@@ -73,18 +72,3 @@ def test_a_generator_that_renders_the_same_differently_is_noted() -> None:
     assert note.startswith("The generator renders frame 0 differently each time with the same noise, by up to 5")
     rounded = iter(range(100))
     assert notes_of(lambda frames, _: np.full((len(frames), 10, 100), 7 + next(rounded) % 2, np.uint8)) == ()
-
-
-ROW = {"frame": 3, "site": 1, "metric": "psnr", "value": 19.5, "source": "model", "split": "test"}
-ROW |= {"variant": "sa2h", "seed": 0}
-
-
-def test_stored_scores_have_their_columns_and_are_there_once(tmp_path) -> None:
-    rows = [ROW | {"metric": metric, "frame": frame} for metric in ("psnr", "mae") for frame in (3, 4)]
-    table = pd.DataFrame([*rows, ROW | {"source": "resimulation"}, ROW | {"split": "validation"}])
-    table.to_parquet(tmp_path / "per_image.parquet")
-    read = pd.read_parquet(tmp_path / "per_image.parquet")
-    assert check_stored_scores(read[list(STORED_COLUMNS)]) == ""
-    assert check_stored_scores(read.assign(value=np.nan)) == "", "a metric may have no value"
-    assert check_stored_scores(read.drop(columns=["site", "seed"])) == "lacks the columns site, seed"
-    assert check_stored_scores(pd.concat([read, read])).startswith("6 rows are there twice (psnr of frame 3)")

@@ -1,20 +1,24 @@
 """The command line: what it stands for, and how it is refused."""
 
 import math
+import os
+import shutil
 from collections import Counter
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
 
 from ablate.analysis import find_design
 from ablate.comparison.usable_runs import levels_of
 from ablate.dataset import Encoding
-from ablate.jobs.compose import cells, jobs_of
+from ablate.jobs.compose import CONFIG, VERSION_BASE, cells, job_of, jobs_of
+from ablate.jobs.schema import settings
 from ablate.networks import Family
 from ablate.runs.job import Job, not_shared
-from ablate.settings.conf import components, variant_names
+from ablate.settings.conf import components, conf_folder, variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings
 from support.studies import study_group
 
@@ -54,6 +58,32 @@ def test_a_sweep_is_the_product_of_its_values() -> None:
 def test_labels_name_what_differs_from_the_variant(arguments: list[str], label: str) -> None:
     (job,) = jobs_of(arguments)
     assert job.label == label
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["preset=tiny", "variant=nsa2h", "seed=3", "runs_dir='a,b'", "evaluation.pictures=2"],
+        ["probe=linear", "probe.depth_mm=30", "probe.width_mm=20"],
+        ["model={depth:${levels:8},noise:input}", "encoding=arbitrary", "scene.anatomy_seed=4"],
+        ["training={steps:5,batch_size:2}", "training.steps=7", "model.depth=${levels:4}", "preset=laptop"],
+    ],
+)
+def test_values_given_to_a_copy_are_what_hydra_composes(words: list[str]) -> None:
+    made = [job_of([*words, f"training.batch_size={size}"]).settings for size in (1, 2)]
+    with initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE):
+        expected = [settings(compose(CONFIG, [*words, f"training.batch_size={size}"])) for size in (1, 2)]
+    assert made == expected
+
+
+def test_a_file_of_conf_that_is_edited_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = shutil.copytree(conf_folder(), tmp_path / "conf")
+    monkeypatch.setattr("ablate.jobs.compose.conf_folder", lambda: folder)
+    assert job_of(["preset=tiny", "seed=1"]).settings.training.steps == 6
+    preset = folder / "preset" / "tiny.yaml"
+    preset.write_text(preset.read_text().replace("steps: 6", "steps: 9"))
+    os.utime(preset, ns=(1, 1))
+    assert job_of(["preset=tiny", "seed=1"]).settings.training.steps == 9
 
 
 @pytest.fixture(scope="module")

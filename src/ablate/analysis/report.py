@@ -48,7 +48,6 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
     seeds = networks.groupby("variant")["seed"].nunique()
     everything = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
     judged = everything[everything["variant"] != RESIMULATION]
-    sites_of = judged.groupby(["data", "frame"])["site"].nunique()
     frames = judged.groupby(["data", "variant", "seed"])["frame"].nunique()
     runs = zip(frames.index, frames, frames.groupby("data").transform("max"), strict=True)
     text = _TEMPLATES.get_template("cautions.jinja").render(
@@ -59,7 +58,6 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
         resimulated=RESIMULATION in set(per_image["variant"]),
         sites=networks["site"].nunique(),
         few_sites=FEW_SITES,
-        moved=[str(frame) for _, frame in sites_of.index[sites_of > 1]],
         short=[f"{variant}/seed{seed} ({n} of {most})" for (_, variant, seed), n, most in runs if n < most],
         gaps=_gaps(everything),
         metrics_of_the_package=METRICS,

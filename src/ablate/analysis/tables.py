@@ -1,6 +1,7 @@
 """The comparison table: mean and spread of every metric of every variant; in print, and as the paper's Table II."""
 
 import re
+from collections.abc import Collection
 from itertools import product
 from typing import Any
 
@@ -91,14 +92,17 @@ def comparison_table(
     return table.sort_values(["variant", "metric"], key=lambda names: names.map(order.index), ignore_index=True)
 
 
-def partly_scored(table: pd.DataFrame) -> list[str]:
-    """One sentence on the metrics of a `comparison_table` that only some seeds of a variant have; none where all do."""
-    networks = table[(table["variant"] != RESIMULATION) & (table["metric"] != FRAME_TIME)]
-    trained = networks.groupby("variant")["seeds"].transform("max")
-    lacking = networks.assign(trained=trained)[networks["seeds"] < trained].to_dict("records")
-    rows = [f"{metric_of(r['metric']).label} of {r['variant']} ({r['seeds']} of {r['trained']})" for r in lacking]
-    again = "means and tests are over the seeds that have it; the command of the others, with this metric, scores them"
-    return [f"Not all seeds have each metric: {', '.join(rows)}; {again}."] if rows else []
+def partly_scored(runs: pd.DataFrame, metrics: Collection[str]) -> list[str]:
+    """One sentence on the metrics that only some runs of a variant have, of a table with a row a run; or none."""
+    of_variant = runs.groupby("variant")
+    rows = [
+        f"{metric_of(metric).label} of {variant} ({n} of {trained})"
+        for metric in sorted({*metrics} & {*runs})
+        for (variant, n), trained in zip(of_variant[metric].count().items(), of_variant.size(), strict=True)
+        if 0 < n < trained
+    ]
+    again = "means and tests are over the runs that have it; the command of the others, with this metric, scores them"
+    return [f"Not all runs have each metric: {', '.join(rows)}; {again}."] if rows else []
 
 
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,12 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         in_space |= {space: f"{mesh.name} is" for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head}
     if len(in_space) > 1:  # as 3D Slicer marks meshes
         raise ValueError(f"{path}: {in_space['LPS']} in LPS, but {in_space['RAS']} in RAS; export all as RAS")
-    names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
+    of_labels = labels.structures if labels else ()
+    used = {background.name, *(tissue.name for _, tissue in (*meshes, *of_labels))}
+    for name in sorted({str(name) for name in content.get("tissues") or ()} - used):
+        if near := get_close_matches(name.lower(), used, 1, 0.8):
+            raise ValueError(f"{path}: tissues.{name}: nothing here is made of it; did you mean {near[0]}?")
+    names = [*(name for name, _ in of_labels), *(mesh.name for mesh, _ in meshes)]
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
     return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)
 

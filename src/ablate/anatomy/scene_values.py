@@ -3,11 +3,12 @@
 `where` is the file and the key of a value, as it stands in the message.
 """
 
+import csv
 import difflib
 import os
 import re
 import sys
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,22 @@ def read_yaml(path: Path) -> Any:
     # a number or a date may be a ValueError
     with naming(f"{path}: not readable as YAML: ", (yaml.YAMLError, ValueError, RecursionError)):
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+
+
+def csv_rows(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
+    """Places, for messages, and rows of a CSV file with a header line, values without blanks around them."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream, skipinitialspace=True)
+            columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
+            stripped = ({k: (v or "").strip() for k, v in row.items() if k} for row in reader)
+            rows = [(f"{path}, line {reader.line_num}", row) for row in stripped]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not readable as CSV in UTF-8 ({error})") from error
+    if not set(needed) <= set(columns) <= {*needed, *optional} or len(set(columns)) < len(columns):
+        also = f" and, if wanted, {', '.join(optional)}" if optional else ""
+        raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns)}")
+    return rows
 
 
 class _Loader(yaml.SafeLoader):

@@ -83,9 +83,9 @@ def _made_from(study: Study) -> dict[str, Any]:
     """
     runs = {f"{run.name} of {run.data}": run.compared_state() for run in study.usable.all}
     read = [study.folder / TIMES, *sorted((conf_folder() / "component").glob("*.yaml"))]
-    chosen = {"reference": study.reference, "notes": list(study.usable.notes), "code": tracking.source_digest()}
+    chosen = {"study": study.folder.name, "reference": study.reference, "notes": list(study.usable.notes)}
     titles = [head(metric) for metric in sorted(set(study.table["metric"]))]  # as far as this command knows
-    return {"runs": runs, "files": digest_of_files(read), "metrics": titles, **chosen}
+    return {"runs": runs, "files": digest_of_files(read), "metrics": titles, "code": tracking.source_digest(), **chosen}
 
 
 def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
@@ -111,7 +111,8 @@ def write_comparison(study: Study, title: str) -> list[str]:
     except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
         frames, missing = [], [f"There are no pictures: {' '.join(str(error).split())}."]
     figures = draw_figures(study, frames, partial)
-    notes = [*usable.notes, *missing, *analysis.partly_scored(study.table)]
+    metrics = {*study.table["metric"]} - {FRAME_TIME}
+    notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, metrics)]
     analysis.write_report(
         partial / "report.html",
         title,
@@ -236,7 +237,11 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
         notes = list(runs[0].data_set.about["left_out"])
     except (OSError, ValueError, KeyError):
         notes = []  # the pairs have been deleted
-    notes += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
+    of_runs: dict[str, list[str]] = {}
+    for run in runs:
+        for note in run.result.get("notes", ()):
+            of_runs.setdefault(str(note), []).append(run.name)
+    notes += [note if len(names) == len(runs) else f"{listed(names)}: {note}" for note, names in of_runs.items()]
     if not any(levels_of(run.spec["semantic"]).get("model.extra_input") == "low" for run in runs):
         notes.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
     return notes

@@ -22,7 +22,7 @@ from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest, written_whole
 from ablate.threads import torch_threads
 from ablate.tracking import hardware
-from ablate.training import TrainingPrecision, chosen_device, generate, load_generator
+from ablate.training import TrainingPrecision, chosen_device, generated_images, load_generator
 
 TIMES = "frame_times.csv"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
@@ -52,13 +52,9 @@ def read_times(study_dir: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _KEPT.items()})
 
 
-def _times_of(runs: Sequence[Run]) -> pd.DataFrame:
-    return read_times(runs[0].folder.parents[1])
-
-
 def timed_on(runs: Sequence[Run]) -> str:
     """The machine on which most networks of these runs were timed, of several the last; empty without times."""
-    times, networks = _times_of(runs), {network_of(run.spec["semantic"]) for run in runs}
+    times, networks = read_times(runs[0].folder.parents[1]), {network_of(run.spec["semantic"]) for run in runs}
     counts = times[times["network"].isin(networks)].groupby("machine", sort=False)["network"].nunique()
     return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
 
@@ -70,7 +66,8 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
     """
     rows: list[tuple[object, ...]] = []
     if machine := timed_on(runs):
-        frames = _times_of(runs).groupby(["machine", "network", "round"], sort=False)["ms"].sum().loc[machine]
+        times = read_times(runs[0].folder.parents[1])
+        frames = times[times["machine"] == machine].groupby(["network", "round"], sort=False)["ms"].sum()
         timed = frames.groupby("network", sort=False).quantile(np.array([0.5, 0.25, 0.75])).unstack()
         known = [(run, of) for run in runs if (of := network_of(run.spec["semantic"])) in timed.index]
         rows = [(run.label, run.seed, run.data, FRAME_TIME, *timed.loc[network]) for run, network in known]
@@ -79,7 +76,7 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
 
 def untimed(runs: Sequence[Run]) -> list[str]:
     """A sentence about the variants that have no time beside the others'; none where all have one."""
-    times, shown = _times_of(runs), timed_on(runs)
+    times, shown = read_times(runs[0].folder.parents[1]), timed_on(runs)
     timed = set(times["network"][times["machine"] == shown])
     missing = dict.fromkeys(run.label for run in runs if network_of(run.spec["semantic"]) not in timed)
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
@@ -129,17 +126,18 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     in_order = sorted(runs.items(), key=lambda named: named[1].data_set.exists)
     chosen = {kinds[network]: run for network, run in in_order}  # the last counts
     data = {kind: run.data_set for kind, run in chosen.items()}
-    values = {k: dataset.label_values(data[kinds[k]].tissues, s.encoding, s.label_seed) for k, s in settings.items()}
-    generators = {  # trained, or with the weights that a training starts with
-        network: (
-            load_generator(run.checkpoint)
-            if run.checkpoint.is_file()
-            else Generator(replace(settings[network].model, labels=values[network].shape[1])).eval()
-        ).to(device)
-        for network, run in runs.items()
-    }
+    reads, render = {}, {}  # by network: what its maps are known by, and what renders with them
+    for network, run in runs.items():
+        kind, s = kinds[network], settings[network]
+        values = dataset.label_values(data[kind].tissues, s.encoding, s.label_seed)
+        if run.checkpoint.is_file():
+            generator = load_generator(run.checkpoint)
+        else:  # the weights that a training starts with
+            generator = Generator(replace(s.model, labels=values.shape[1])).eval()
+        precision = TrainingPrecision[run.spec["semantic"]["training"]["precision"]]
+        render[network] = generated_images(generator.to(device), data[kind].pairs, values, precision)
+        reads[network] = kind, conditions(generator.spec), generator.spec.space
     make = {kind: _map_maker(chosen[kind].settings, of_kind) for kind, of_kind in data.items()}
-    reads = {network: (kinds[network], conditions(of.spec), of.spec.space) for network, of in generators.items()}
     read = list(dict.fromkeys(reads.values()))
     rounds = max(next(iter(settings.values())).evaluation.timed_frames, _FEWEST_ROUNDS)
     frames = {kind: equally_spaced(each.pairs.frames(Part.test), rounds) for kind, each in data.items()}
@@ -151,17 +149,10 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
             turn = number * len(read)
             made = {of: make[of[0]](shown[of[0]], turn + k, *of[1:]) for k, of in enumerate(read)}
             for network in turns:
-                spec = generators[network].spec
-                precision = TrainingPrecision[runs[network].spec["semantic"]["training"]["precision"]]
-                kind, pairs = kinds[network], data[kinds[network]].pairs
-                (maps, map_ms), mask = made[reads[network]], pairs.mask(spec.space)
-                converter = pairs.converter if spec.space is Space.beam else None
-                given = {name: maps[name][None] for name in reads[network][1]}
-                seed = torch.from_numpy(dataset.noise_seeds(np.array([shown[kind]]), number))
+                (kind, names, _), (maps, map_ms) = reads[network], made[reads[network]]
+                given = {name: maps[name][None] for name in names}
                 start = time.perf_counter()
-                inputs = dataset.network_inputs(given, values[network], mask)
-                fan = torch.from_numpy(mask)
-                generate(generators[network], inputs, fan, seed, precision, converter)  # waits for a GPU
+                render[network](np.array([shown[kind]]), number, given)  # waits for a GPU
                 parts = {name: map_ms[name] for name in given if name in map_ms}
                 parts[NETWORK] = 1e3 * (time.perf_counter() - start)
                 rows += [(network, number, name, ms) for name, ms in parts.items()]

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import pandas as pd
+from tqdm import tqdm
 
 from ablate import analysis
 from ablate.analysis import RESIMULATION, FramePictures
@@ -121,12 +122,15 @@ def open_study(path: str | Path) -> Study:
 def found_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> Study:
     """Open the study named by the environment variable ABLATE_STUDY, or the first of `places`, here or one folder up.
 
-    Without one a SystemExit names the command that makes it, so that a notebook stops without a traceback.
+    What was left aside is printed. Without a study a SystemExit names the command that makes it: no traceback.
     """
     named = os.environ.get("ABLATE_STUDY")
     folders = [named] if named else [f"{up}/{place}" for up in (".", "..") for place in places]
     for folder in folders:
         with suppress(FileNotFoundError):
-            return open_study(folder)
+            study = open_study(folder)
+            for note in study.usable.notes:
+                tqdm.write(note)
+            return study
     advice = f"Run `{made_by}` first, or name another by the environment variable ABLATE_STUDY."
     raise SystemExit(f"There is no finished study at {folders[0]}. {advice}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ablate.analysis import REFERENCE, listed
-from ablate.runs.job import differences, semantic_key
+from ablate.runs.job import differences, not_shared, semantic_key
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import flat
 from ablate.settings.conf import components
@@ -71,6 +71,11 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         levels = {label: of_run[key] for label, of_run in untold.items() if key in of_run}
         if levels and (len(set(levels.values())) > 1 or reference not in levels):
             told.append(f"{key} is {', '.join(f'{value} in {label}' for label, value in levels.items())}.")
+    for run in runs[1:]:
+        presets = runs[0].spec["settings"]["preset"], run.spec["settings"]["preset"]
+        apart = not_shared(runs[0].spec["semantic"], run.spec["semantic"], {*runs[0].changed, *run.changed}, presets)
+        for key, there, here in apart:
+            told.append(f"{key} is {there} in {runs[0].name} and {here} in {run.name}: this is no one study.")
     counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
     notes = [f"{what}: {listed(names)}." for what, names in counted.items()]
     return UsableRuns(tuple(runs), tuple(blocks), (*notes, *told))
@@ -114,8 +119,7 @@ def check_alike(runs: Sequence[Run]) -> None:
         if (twin := of_hash.setdefault(run.result["hash"], run)).folder != run.folder:
             raise ConfigurationError(f"{twin.folder} and {run.folder} are the same run, which counts once: remove one")
         for name, source in run.result["sources"].items():
-            named = source.partition(" ")[0] if " " in source else name.rpartition(".")[2]  # by an earlier version
-            other, *code = scored.setdefault(named, (run, name, source))
+            other, *code = scored.setdefault(source.partition(" ")[0], (run, name, source))
             if code != [name, source]:
                 again = "repeat the command with this metric and the variants and seeds of both"
                 raise ConfigurationError(f"{name} has scored {other.name} and {run.name} by different code: {again}")

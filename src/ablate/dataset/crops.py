@@ -65,8 +65,7 @@ class Crops:
         self.pairs, self.frames, self.values, self.settings = pairs, np.asarray(frames), values, settings
         self.mask = pairs.mask(settings.space)
         self.size = (settings.size, settings.size) if settings.size else self.mask.shape
-        self.positions = pairs.positions(settings.space) if maps & OF_POSITION else {}
-        self.positions = {name: value for name, value in self.positions.items() if name in maps}
+        self.positions = {name: pairs.positions(settings.space)[name] for name in sorted(maps & OF_POSITION)}
         self.names = ("segmentation", "target", *sorted(maps - {"segmentation", "target"} - OF_POSITION))
         self._kept = in_memory_bytes // sum(self._stored(name, frames[0]).nbytes for name in self.names)
         self._in_memory = {name: self._stored(name, self.frames[: self._kept]) for name in self.names}
@@ -143,9 +142,6 @@ class CropLoader:
 
     def __init__(self, crops: Crops, start: int, stop: int, workers: int = 0) -> None:
         self.crops, self.steps, self.workers = crops, range(start, stop), workers
-
-    def __len__(self) -> int:
-        return len(self.steps)
 
     def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
         batches = self._ahead() if self.workers else map(self.crops.__getitem__, self.steps)

@@ -1,11 +1,11 @@
 """Probe poses of the user's own, read from a file."""
 
-import csv
 import math
 from pathlib import Path
 
 import numpy as np
 
+from ablate.anatomy.scene_values import csv_rows
 from ablate.setting import naming, shown
 from ablate.ultrasound.probe import check_pose
 
@@ -26,7 +26,8 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
     if not path.is_file():
         raise FileNotFoundError(f"{where}: no such file")
     if path.suffix.lower() == ".csv":
-        poses, sites = _of_csv(path, where)
+        with naming(f"{key}="):
+            poses, sites = _of_csv(path)
     else:
         with naming(f"{where}: not readable as .npy: ", (ValueError, OSError, EOFError)), path.open("rb") as stream:
             poses = np.load(stream, allow_pickle=False)
@@ -42,33 +43,22 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
     return poses.astype(np.float64), sites
 
 
-def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
+def _of_csv(path: Path) -> tuple[np.ndarray, np.ndarray]:
     from scipy.spatial.transform import Rotation
 
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:  # Excel begins a file with a mark
-            reader = csv.DictReader(stream)
-            named, rows = list(reader.fieldnames or []), list(reader)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{where}: not readable as .csv in UTF-8: {' '.join(str(error).split())}") from None
-    if missing := [name for name in COLUMNS if name not in named]:
-        columns = f"the columns are {shown(', '.join(named))}, and {', '.join(COLUMNS)} are needed, with commas between"
-        raise ValueError(f"{where}: no column {missing[0]}; {columns}")
-    if other := [name for name in named if name not in (*COLUMNS, "site") or named.count(name) > 1]:
-        raise ValueError(f"{where}: column {shown(other[0])}; allowed are {', '.join(COLUMNS)} and site, each once")
+    rows = csv_rows(path, COLUMNS, ("site",))
     poses, sites = np.tile(np.eye(4), (len(rows), 1, 1)), np.arange(len(rows), dtype=np.int64)
-    for i, row in enumerate(rows):
+    for i, (line, row) in enumerate(rows):
         try:
             x, y, z, *quaternion = (float(row[name]) for name in COLUMNS)
-            if "site" in row:
-                sites[i] = np.int32(row["site"])
-        except (TypeError, ValueError, OverflowError):
-            values = ", ".join(f"{name}={value}" for name, value in row.items() if name)
+            sites[i] = np.int32(row.get("site", i))
+        except (ValueError, OverflowError):
+            values = shown(", ".join(f"{name}={value}" for name, value in row.items()))
             allowed = "numbers, and whole ones of 32 bits as site"
-            raise ValueError(f"{where}: row {i}: allowed are {allowed}, not {shown(values)}") from None
+            raise ValueError(f"{line}: allowed are {allowed}, not {values}") from None
         length = math.hypot(*quaternion)
         if not abs(length - 1) < 1e-3:
-            raise ValueError(f"{where}: row {i}: the quaternion must have length 1, not {length:.4g}")
-        poses[i, :3, :3] = Rotation.from_quat([*quaternion[1:], quaternion[0]]).as_matrix()  # SciPy has w last
+            raise ValueError(f"{line}: the quaternion must have length 1, not {length:.4g}")
+        poses[i, :3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         poses[i, :3, 3] = x, y, z
     return poses, sites

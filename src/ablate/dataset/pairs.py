@@ -244,8 +244,7 @@ def create_pairs(
     """Lay out an empty data set, or open the one that is there.
 
     `mask`, (H, W) bool, is the fan of the images. Arrays of maps are created by `fill_pairs` when first needed. Safe to
-    call from several processes. A ValueError where the one that is there has another probe, tissues, space, or
-    size of the images; poses are those that are there.
+    call from several processes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".create.lock"):
@@ -257,11 +256,7 @@ def create_pairs(
             group.attrs.update({"space": str(space), "beam_shape": list(beam_shape)})
             group.attrs.update({"probe": None if probe is None else plain(probe)})
             write_json(folder / "about.json", about)
-    pairs = open_pairs(folder)
-    there = pairs.probe, pairs.tissues, pairs.shape, pairs.space, pairs.beam_shape
-    if there != (asked := (probe, tuple(tissues), mask.shape, space, tuple(beam_shape))):
-        raise ValueError(f"{folder}: holds pairs of {there}, not of {asked}; take another folder")
-    return pairs
+    return open_pairs(folder)
 
 
 def open_pairs(folder: str | Path) -> Pairs:

@@ -5,7 +5,6 @@ tissue) names what the labels stand for, `frames.csv` (name, site and, if wanted
 together and which part they are in, `fan.yaml` is the geometry of the fan, as a probe has it.
 """
 
-import csv
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
-from ablate.anatomy.scene_values import mapping, one_of, read_yaml
+from ablate.anatomy.scene_values import csv_rows, mapping, one_of, read_yaml
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
@@ -183,10 +182,8 @@ def _digest(stats: tuple[tuple[Path, int, int], ...]) -> str:
 
 def _header(path: Path) -> tuple[tuple[int, int], int, int]:
     """Height and width, bits a sample and colour type of a PNG, from its first chunk."""
-    data = b""
-    if path.is_file():  # reading a pipe would wait without end
-        with path.open("rb") as stream:
-            data = stream.read(26)
+    with path.open("rb") as stream:
+        data = stream.read(26)
     if len(data) < 26 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError(f"{path}: not a PNG file")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
@@ -201,7 +198,7 @@ def _frames(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...], np.nda
         return tuple(name.rpartition("_")[0] or name for name in names), None
     known, allowed = set(names), ", ".join(Part.__members__)
     rows: dict[str, dict[str, str]] = {}
-    for where, row in _table(path, ("name", "site"), ("part",)):
+    for where, row in csv_rows(path, ("name", "site"), ("part",)):
         name = row["name"].removesuffix(".png")
         if name not in known:
             raise ValueError(f"{where}: there is no frame '{name}'")
@@ -228,7 +225,7 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
         return None
     known = load_tissues()
     tissues: dict[int, Tissue] = {}
-    for where, row in _table(path, ("label", "tissue")):
+    for where, row in csv_rows(path, ("label", "tissue")):
         if not row["label"].isdecimal() or not 1 <= int(row["label"]) <= MOST_LABELS:
             raise ValueError(f"{where}: label '{row['label']}'; allowed are 1 to {MOST_LABELS}")
         one_of(row["tissue"], known, f"{where}: tissue")
@@ -240,30 +237,10 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
     return tuple(tissues[label] for label in sorted(tissues))
 
 
-def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
-    """Places, for messages, and rows of a CSV file with a header line, values without blanks around them."""
-    if not path.is_file():
-        raise ValueError(f"{path}: is no file")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream, skipinitialspace=True)
-            columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
-            stripped = ({k: (v or "").strip() for k, v in row.items() if k} for row in reader)
-            rows = [(f"{path}, line {reader.line_num}", row) for row in stripped]
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not readable as CSV in UTF-8 ({error})") from error
-    if not set(needed) <= set(columns) <= {*needed, *optional}:
-        also = f" and, if wanted, {', '.join(optional)}" if optional else ""
-        raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns)}")
-    return rows
-
-
 def _fan(path: Path) -> Probe | None:
     """The probe whose fan the images are of: its kind and every length and angle, whatever its frequency."""
     if not path.exists():
         return None
-    if not path.is_file():
-        raise ValueError(f"{path}: is no file")
     given = mapping(read_yaml(path), f"{path}", ("kind", *PROBE_KEYS))
     with naming(f"{path}: ", (ValueError, TypeError)):
         probe = probe_from(given)

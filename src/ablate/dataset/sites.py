@@ -1,6 +1,5 @@
 """Probe sites: a regular grid of poses, pressed on the outer surface of a scene, and why some of them are left out."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -89,8 +88,6 @@ def press(
     the poses, (n, 4, 4) float64, and for each whether all of the face has body before it and whether any of it lies in
     bone or gas, (n,) bool each.
     """
-    if not math.isfinite(press_mm):
-        raise ValueError(f"press_mm={press_mm}: allowed are finite numbers")
     face = face_points(probe)
     n, k = len(poses), len(face)
     directions = np.repeat(approaches, k, axis=0)

@@ -1,4 +1,3 @@
-from .run_scores import check_stored_scores as check_stored_scores
 from .run_scores import resimulation_images as resimulation_images
 from .run_scores import score_run as score_run
 from .scorer import ImageSource as ImageSource

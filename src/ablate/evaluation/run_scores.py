@@ -12,7 +12,7 @@ from filelock import FileLock
 from ablate.dataset import Part, counted_clipping
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
 from ablate.metrics import METRICS, METRICS_VERSION
-from ablate.metrics.metric import FLOOR_PREFIX, MODEL, RESIMULATED, STORED_COLUMNS
+from ablate.metrics.metric import FLOOR_PREFIX, MODEL, RESIMULATED
 from ablate.storage import digest, known_json, write_json
 
 if TYPE_CHECKING:
@@ -87,14 +87,3 @@ def _about_output(counts: list[tuple[int, int]], images_of: ImageSource, frame: 
             "levels (dropout that is left on does this): its scores differ from one scoring to the next."
         )
     return notes
-
-
-def check_stored_scores(frame: pd.DataFrame) -> str:
-    """Say what is wrong with the content of a run's `per_image.parquet`; empty where it can be used."""
-    if missing := [name for name in STORED_COLUMNS if name not in frame]:
-        return f"lacks the columns {', '.join(missing)}"
-    twice = frame[frame.duplicated(["variant", "seed", "split", "source", "frame", "metric"])]
-    if len(twice):
-        rows = "1 row is" if len(twice) == 1 else f"{len(twice)} rows are"
-        return f"{rows} there twice ({twice['metric'].iloc[0]} of frame {twice['frame'].iloc[0]})"
-    return ""

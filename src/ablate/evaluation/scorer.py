@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from ablate.metrics import (
 )
 from ablate.metrics.features import CENTRE, PATCH
 from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
-from ablate.threads import in_parts
+from ablate.threads import side_by_side
 from ablate.ultrasound import Probe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
@@ -143,11 +143,8 @@ class Scorer:
                 drawn = np.stack([images, *(images_of(batch, draw) for draw in range(1, draws))], axis=1)
             else:
                 drawn = np.broadcast_to(images[:, None], (len(images), min(draws, 2), *images.shape[1:]))
-
-            def scored_frame(k: int, _: int = 0) -> tuple[dict[str, float], Features]:
-                return self._score_frame(batch[k], drawn[k], bool(speckle))
-
-            return in_parts(scored_frame, len(batch), 1) if ours else [*map(scored_frame, range(len(batch)))]
+            tasks = [partial(self._score_frame, *of, bool(speckle)) for of in zip(batch, drawn, strict=True)]
+            return side_by_side(*tasks) if ours else [task() for task in tasks]
 
         scored: list[tuple[dict[str, float], Features]] = []
         of_inception: list[Features] = []

@@ -7,14 +7,16 @@ import itertools
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, ValueType
+from hydra.core.override_parser.types import Override, OverrideType, ValueType
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from ablate.jobs.refusals import in_one_line
 from ablate.jobs.schema import register, settings
@@ -35,13 +37,40 @@ _SIZE = "model.width"  # of all networks of a study alike, unless it is swept
 
 
 def composed(overrides: Sequence[str]) -> DictConfig:
-    """The whole configuration of one job, its node `hydra` included; what cannot be composed is refused in one line."""
+    """The whole configuration of one job, its node `hydra` included; what cannot be composed is refused in one line.
+
+    Hydra takes long to read files. So it composes the words that choose them once, and the other words give values to
+    a copy, as Hydra itself does last; what it records of all words is that of the first.
+    """
     register()
     with in_one_line(overrides), ExitStack() as stack:
         if not GlobalHydra.instance().is_initialized():  # as the command line does it
             folder = str(conf_folder())
             stack.enter_context(initialize_config_dir(folder, version_base=VERSION_BASE, job_name="ablate"))
-        return compose(CONFIG, list(overrides), return_hydra_config=True)
+        files = {path: path.stat().st_mtime_ns for path in sorted(conf_folder().rglob("*.yaml"))}
+        state = (str(GlobalHydra.instance().config_loader().get_search_path()), *files.items())
+        groups = {path.parent.name for path in files}
+        values = [override for override in parsed(overrides) if _gives_a_value(override, groups)]
+        others = [word for word in overrides if word not in {override.input_line for override in values}]
+        config = deepcopy(_of_files(tuple(others), state))
+        try:
+            for override in values:
+                OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+        except OmegaConfBaseException:  # which Hydra explains
+            return compose(CONFIG, list(overrides), return_hydra_config=True)
+        return config
+
+
+@cache
+def _of_files(words: tuple[str, ...], _state: object) -> DictConfig:
+    return compose(CONFIG, list(words), return_hydra_config=True)
+
+
+def _gives_a_value(override: Override, groups: Collection[str]) -> bool:
+    """Whether a word chooses no file of conf/ and is none for Hydra itself."""
+    key, is_plain = override.key_or_group, override.type is OverrideType.CHANGE and override.package is None
+    of_hydra = "/" in key or key.partition(".")[0] == "hydra"
+    return is_plain and not (override.is_sweep_override() or of_hydra or key in groups)
 
 
 def parsed(words: Sequence[str]) -> list[Override]:
@@ -67,10 +96,6 @@ def job_of(
         made = settings(config)
         changed = changed_keys(parsed(words), made, {*swept, *(c.key for c in components())}, fixed)
         return Job(made, label_of(made, changed), tuple(sorted(changed.items())))
-
-
-#: Composed once for all jobs of a sweep, which mostly share what their labels are told from.
-_settings_of = cache(lambda words: settings(composed(words)))
 
 
 def variant_model(name: str) -> GeneratorSpec:
@@ -101,7 +126,7 @@ def changed_keys(
         kept = [str(o.input_line) for o in overrides if not changes(o) and o.key_or_group not in _IN_NO_LABEL]
         if made.variant == CUSTOM:  # which is nothing without its class
             kept.append(f"model.target={made.model.target}")
-        without = _settings_of((*fixed, *kept))
+        without = settings(composed([*fixed, *kept]))
         before, after = dict(flat(plain(without))), dict(flat(plain(made)))
         changed |= {key: after[key] for key in candidates if before.get(key) != after.get(key)}
     return changed

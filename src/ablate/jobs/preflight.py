@@ -31,37 +31,42 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
 
     Jobs that run `elsewhere`, on the nodes of a cluster, must be known by the same hash here and there.
     """
+    task, results = jobs[0].settings.task, jobs[0].settings.results
     _check_place_of_runs(jobs[0].settings)
     for job in jobs:
-        if elsewhere and job.settings.task is Task.study and job.settings.training.precision is TrainingPrecision.auto:
+        if elsewhere and task is Task.study and job.settings.training.precision is TrainingPrecision.auto:
             differ = "it may be another on the node that runs the job than here"
             raise ConfigurationError(f"training.precision=auto: {differ}; allowed on a cluster are fp32 and bf16")
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
-    if odd := set(str(jobs[0].settings.results)) & {"?", "%"}:  # they mean something else in the address of a database
-        raise ConfigurationError(f"runs_dir={jobs[0].settings.results}: allowed is a path without {' and '.join(odd)}")
-    starts = jobs[0].settings.task in (Task.study, Task.simulate)
-    if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.export, Task.stability):
-        _check_writable(jobs[0].settings.results)
-    if starts or jobs[0].settings.task is Task.compare:
+    if odd := set(str(results)) & {"?", "%"}:  # they mean something else in the address of a database
+        raise ConfigurationError(f"runs_dir={results}: allowed is a path without {' and '.join(odd)}")
+    starts = task in (Task.study, Task.simulate)
+    if starts or task in (*_NEED_SCENE, Task.export, Task.stability):
+        _check_writable(results)
+    if starts or task is Task.compare:
         waiting = {job.folder for job in jobs if starts and not (job.folder / "result.json").exists()}
-        for folder in {f for job in jobs for f in (job.settings.results, job.settings.study_dir)} | waiting:
-            if folder.exists():
-                _check_writable(folder)
-    if starts or jobs[0].settings.task is Task.plan:
-        first, of_study = dict[object, Job](), dict[object, Job]()
-        for job in jobs:
-            check_place(job)
-            other = of_study.setdefault(job.settings.study_dir, job)
-            labelled, preset = {*dict(other.changed), *dict(job.changed)}, (other.settings.preset, job.settings.preset)
-            unlike = not_shared(other.semantic, job.semantic, labelled, preset)
-            if unlike and job.settings.task is not Task.simulate:
-                values = ", ".join(f"{key}: {there} there, {here} here" for key, there, here in unlike)
-                raise ConfigurationError(f"{other.name} and {job.name} cannot be one study: {values}; make them equal")
-            if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
-                keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}})) or "variant"
-                raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")
+        for folder in filter(Path.exists, {results, *(job.settings.study_dir for job in jobs), *waiting}):
+            _check_writable(folder)
+    if starts or task is Task.plan:
+        _check_one_study(jobs)
+
+
+def _check_one_study(jobs: Sequence[Job]) -> None:
+    """Check each job against what lies in its place, and against the other jobs of its study."""
+    first, of_study = dict[object, Job](), dict[object, Job]()
+    for job in jobs:
+        check_place(job)
+        other = of_study.setdefault(job.settings.study_dir, job)
+        labelled, preset = {*dict(other.changed), *dict(job.changed)}, (other.settings.preset, job.settings.preset)
+        unlike = not_shared(other.semantic, job.semantic, labelled, preset)
+        if unlike and job.settings.task is not Task.simulate:
+            values = ", ".join(f"{key}: {there} there, {here} here" for key, there, here in unlike)
+            raise ConfigurationError(f"{other.name} and {job.name} cannot be one study: {values}; make them equal")
+        if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
+            keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}})) or "variant"
+            raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")
 
 
 def _check_pairs(job: Job) -> int:

@@ -15,7 +15,6 @@ from ablate.metrics.patches import check_pair, patch_chi2
 # Names in stored scores, once for all rooms that write or read them.
 SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
 MODEL, RESIMULATED = "model", "resimulation"  # of images: the trained generator, or simulated again
-STORED_COLUMNS = (*SCORE_COLUMNS, "source", "split", "variant", "seed")  # `per_image.parquet` of a run
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
 FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles

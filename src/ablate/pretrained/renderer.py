@@ -92,8 +92,7 @@ class Renderer:
         read = dataset.maps_read(conditions(self.generator.spec), space, maps, self.probe, self.simulator.time_gain)
         inputs = dataset.network_inputs({name: value[None] for name, value in read.items()}, values, mask)
         noise_seed = torch.tensor([seed], dtype=torch.int64)
-        to_image = converter if space is Space.beam else None
-        return generate(self.generator, inputs, torch.from_numpy(mask), noise_seed, precision, to_image)[0]
+        return generate(self.generator, inputs, torch.from_numpy(mask), noise_seed, precision, converter)[0]
 
 
 def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[float, ...]]:

@@ -26,6 +26,7 @@ from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import known_json, read_json, write_json
+from ablate.ultrasound import fan_mask
 from ablate.ultrasound.settings import Sliders
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
@@ -160,6 +161,9 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], abo
     order = np.argsort(split, kind="stable")
     tissues = checked.tissues or tuple(Tissue(f"label_{label}") for label in range(1, labels + 1))
     left_out = _left_out(settings, checked, mask)
+    of_probe = fan_mask(checked.probe, (mask.shape[0], mask.shape[1])) if checked.probe else mask
+    if unlike := float((of_probe ^ mask).sum() / mask.sum()):
+        left_out.append(f"fan.yaml and the images differ in {unlike:.1%} of the fan: beam space is wrong by as much")
     tqdm.write(f"{len(numbers)} sites")
     for line in left_out:
         tqdm.write(f"left out: {line}")

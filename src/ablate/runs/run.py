@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 from filelock import FileLock
 
-from ablate.evaluation import check_stored_scores
 from ablate.metrics import METRICS_VERSION
 from ablate.runs.data_set import DataSet
 from ablate.setting import check_name
@@ -127,7 +126,7 @@ class Run:
 
     @cached_property
     def scores(self) -> pd.DataFrame:
-        """One row a metric of a frame; see `evaluation.STORED_COLUMNS`."""
+        """One row a metric of a frame; with the columns of `metrics.SCORE_COLUMNS`, source, split, variant and seed."""
         return pd.read_parquet(self.scores_file)
 
     @property
@@ -173,19 +172,15 @@ class Run:
             state = State.unusable if version > METRICS_VERSION else State.resumable
             return state, f"scored by version {version} of the metrics, not {METRICS_VERSION}: {newer}"
         try:
-            wrong_scores = check_stored_scores(self.scores)
             for metric in set(self.scores["metric"]):
                 check_name("metric", str(metric))  # it becomes part of the name of a figure's file
+            is_own = (set(self.scores["variant"]), set(self.scores["seed"])) == ({self.label}, {self.seed})
+            if is_own and (self.scores["split"] == "test").any():
+                return State.finished, ""
         except (OSError, ValueError, KeyError) as error:  # pyarrow's are ValueErrors
             return State.resumable, f"unreadable ({type(error).__name__}: {self.scores_file.name}): start it again"
-        if (set(self.scores["variant"]), set(self.scores["seed"])) != ({self.label}, {self.seed}):
-            wrong_scores = "it holds values of another run"
-        if not (self.scores["split"] == "test").any():
-            wrong_scores = "it holds no value on the test frames"
-        if wrong_scores:
-            why = f"with a {self.scores_file.name} that cannot be used ({wrong_scores}): start it again"
-            return State.unusable, why
-        return State.finished, ""
+        what = "no value on the test frames" if is_own else "values of another run"
+        return State.unusable, f"with a {self.scores_file.name} that cannot be used (it holds {what}): start it again"
 
     def copied_state(self) -> str:
         """A digest that changes with whatever the tracking store has a copy of."""

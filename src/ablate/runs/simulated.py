@@ -97,8 +97,10 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     training = layout.poses[layout.split == Part.train]
     simulator = with_patient_gain(scene, settings.probe, settings.simulator, training)
     left_out = plan_scene(scene, settings.probe, simulator, layout.poses).left_out
+    if lacking := settings.dataset.frames - len(layout.poses):
+        left_out = (*left_out, f"{lacking} of {settings.dataset.frames} frames asked for: there are no more poses")
     tqdm.write(f"Simulating pairs into {folder}")
-    tqdm.write(f"{layout.placement}; {len(layout.sites)} of {settings.dataset.frames} frames asked for")
+    tqdm.write(f"{layout.placement}; {len(layout.sites)} frames")
     for line in left_out:
         tqdm.write(f"left out: {line}")
     poses = {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped}

@@ -16,10 +16,10 @@ import torch
 
 from ablate import dataset, tracking
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
-from ablate.evaluation import ImageSource, Scorer, score_run
+from ablate.evaluation import Scorer, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics, inception_file, load_inception, needs_inception
 from ablate.metrics.features import CENTRE
-from ablate.networks import Generator, Space, conditions, draws_noise
+from ablate.networks import Generator, conditions, draws_noise
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters, precision_of
 from ablate.runs.place import claim_place, finished_run, names_of, sources_of, with_earlier_metrics
@@ -31,7 +31,7 @@ from ablate.settings.study import ConfigurationError, Provenance, StudySettings,
 from ablate.storage import digest, known_json, remove_partial, write_json, write_text, written_whole
 from ablate.threads import torch_threads
 from ablate.tracking import LocalLog
-from ablate.training import TrainingPrecision, Validation, chosen_device, generate, read_checkpoint, train
+from ablate.training import Validation, chosen_device, generated_images, read_checkpoint, train
 from ablate.user_code import source_digest
 
 _LOG = logging.getLogger(__name__)
@@ -199,7 +199,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     costs = {"train/resumed_at": float(trained.resumed_at)}
     if trained.resumed_at == 0:
         costs["train/seconds"] = time.perf_counter() - started
-    render = generated_images(trained.generator, data, values, s.training.precision)
+    render = generated_images(trained.generator, pairs, values, s.training.precision)
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
     scalars = {**costs, **scores.scalars, **parameters(s, spec)}
     _unfinish(run)
@@ -225,32 +225,12 @@ def _validation(s: StudySettings, data: DataSet, values: np.ndarray, log: LocalL
     """A function that scores a few validation frames and logs them as images: the curves of a training."""
     frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
     targets = data.pairs.read("target", frames)
-    probe, metrics = data.pairs.probe or s.probe, choose_metrics(list(_CURVES))
-    of_curves = Scorer(data.pairs, data.tissues, probe, s.evaluation, metrics)
+    of_curves = scorer(replace(s, metrics=_CURVES), data)
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
-        render = generated_images(generator, data, values, s.training.precision)
+        render = generated_images(generator, data.pairs, values, s.training.precision)
         log_samples(log, frames, render(frames, 0), targets, images_seen)
         scalars = of_curves.score(Part.validation, render, draws_noise(s.model), frames).scalars
         return {f"val/{name}_curve": scalars[name] for name in _CURVES if name in scalars}
 
     return validate
-
-
-def generated_images(
-    generator: Generator, data: DataSet, values: np.ndarray, precision: TrainingPrecision
-) -> ImageSource:
-    """A function that renders frames of a data set with a generator; the noise depends on frame number and draw.
-
-    A generator in beam space renders there, and its frames are scan-converted.
-    """
-    pairs, space = data.pairs, generator.spec.space
-    mask, converter = pairs.mask(space), pairs.converter if space is Space.beam else None
-
-    def render(frames: np.ndarray, draw: int) -> np.ndarray:
-        maps = {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}
-        seeds = torch.from_numpy(dataset.noise_seeds(frames, draw))
-        inputs = dataset.network_inputs(maps, values, mask)
-        return generate(generator, inputs, torch.from_numpy(mask), seeds, precision, converter)
-
-    return render

@@ -14,9 +14,10 @@ from contextlib import suppress
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from mlflow.entities import Metric
 
 from ablate.storage import write_image
 from ablate.tracking.store import reason
@@ -37,15 +38,6 @@ class Status(StrEnum):
     killed = "KILLED"
 
 
-class Point(NamedTuple):
-    """A value of a curve; `time_ms` is since 1970."""
-
-    key: str
-    value: float
-    time_ms: int
-    step: int
-
-
 class LocalLog:
     """Writes the log of one run, for the process that trains it; see `read_log` and `logged_images`.
 
@@ -60,16 +52,12 @@ class LocalLog:
             file.truncate(whole)  # of a line that a killed process began
         self._known = {(point.key, point.step) for point in points(lines)}
 
-    def metrics(self, values: Mapping[str, float], step: int = 0) -> None:
+    def metrics(self, values: Mapping[str, float], step: int) -> None:
         """Log the values of one step; NaN and infinite values are left out, which MLflow cannot show."""
-        new = {
-            key: float(value)
-            for key, value in values.items()
-            if abs(float(value)) < 1e300 and (key, int(step)) not in self._known
-        }
-        self._known |= {(key, int(step)) for key in new}
+        new = {key: v for key, v in values.items() if abs(v) < 1e300 and (key, step) not in self._known}
+        self._known |= {(key, step) for key in new}
         if new:
-            self._append({"step": int(step), "metrics": new})
+            self._append({"step": step, "metrics": new})
 
     def image(self, key: str, image: np.ndarray, step: int) -> None:
         """Log an (h, w) uint8 image of a series. A key has letters, digits, spaces and `_-./`."""
@@ -101,10 +89,10 @@ def read_log(folder: Path, start: int = 0) -> tuple[list[dict[str, Any]], int]:
     return [line for line in lines if isinstance(line, dict)], start + len(text) + len(newline)
 
 
-def points(lines: list[dict[str, Any]]) -> list[Point]:
+def points(lines: list[dict[str, Any]]) -> list[Metric]:
     """The values in lines of a log."""
     steps = [line for line in lines if "metrics" in line]
-    return [Point(key, value, line["time"], line["step"]) for line in steps for key, value in line["metrics"].items()]
+    return [Metric(key, value, line["time"], line["step"]) for line in steps for key, value in line["metrics"].items()]
 
 
 def logged_images(folder: Path) -> list[tuple[str, int, Path]]:
@@ -117,8 +105,8 @@ def logged_images(folder: Path) -> list[tuple[str, int, Path]]:
 class Background:
     """Calls `work` now and every few seconds. What it raises is logged once and not raised: it is tried again."""
 
-    def __init__(self, work: Callable[[], object], every_s: float = _EVERY_S) -> None:
-        self._work, self._every_s = work, every_s
+    def __init__(self, work: Callable[[], object]) -> None:
+        self._work = work
         self._last: Callable[[], object] | None = None
         self._closed = threading.Event()
         self._failing = False
@@ -133,7 +121,7 @@ class Background:
     def _run(self) -> None:
         while True:
             self._try(self._work)
-            if self._closed.wait(self._every_s):
+            if self._closed.wait(_EVERY_S):
                 break
         if self._last is not None:
             self._try(self._last)

@@ -47,7 +47,7 @@ class StoredRun:
         new = [point for point in points(lines) if (point.key, point.step) not in self._steps]
         for k in range(0, len(new), _BATCH):
             batch = new[k : k + _BATCH]
-            self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
+            self._client.log_batch(self.run_id, metrics=batch)
             self._steps.update((point.key, point.step) for point in batch)
         for key, step, path in logged_images(folder):
             self._copy_image(key, step, path)

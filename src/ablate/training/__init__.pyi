@@ -5,6 +5,7 @@ from .inference import OpenEngine as OpenEngine
 from .inference import chosen_device as chosen_device
 from .inference import chosen_precision as chosen_precision
 from .inference import generate as generate
+from .inference import generated_images as generated_images
 from .inference import missing_for as missing_for
 from .inference import open_engine as open_engine
 from .inference import open_exported as open_exported

@@ -7,6 +7,7 @@ import torch
 
 from ablate.networks import Generator, GeneratorSpec
 from ablate.training.settings import TrainingSettings
+from ablate.user_code import source_digest
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -25,14 +26,18 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 def load_generator(path: Path) -> Generator:
     """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
 
-    A file without a checkpoint of this project, or with weights of another network than it names, is a ValueError.
+    A file without a checkpoint of this project, with weights of another network than it names, or of a user's network
+    whose code has changed since, is a ValueError.
     """
     checkpoint = read_checkpoint(path)
     try:
         made, weights = checkpoint["hyper_parameters"], checkpoint["state_dict"].items()
         kept = "average." if TrainingSettings(**made["settings"]).ema_decay > 0 else "generator."
+        spec = GeneratorSpec(**made["spec"])
+        if spec.target is not None and source_digest(spec.target) != checkpoint["target_source"]:
+            raise ValueError(f"the code of {spec.target} is not that of the training: restore it, or train again")
         with torch.random.fork_rng():
-            generator = Generator(GeneratorSpec(**made["spec"]))
+            generator = Generator(spec)
         generator.load_state_dict({key.removeprefix(kept): w for key, w in weights if key.startswith(kept)})
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())

@@ -16,13 +16,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ablate.dataset import decode_grey_levels
+from ablate.dataset import decode_grey_levels, network_inputs, noise_seeds
 from ablate.extras import installing
 from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
 from ablate.training.settings import TrainingPrecision
 
 if TYPE_CHECKING:
+    from ablate.dataset import Pairs
     from ablate.ultrasound import ScanConverter  # only here: it is compiled, and images need none
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
@@ -188,3 +189,22 @@ def generate(
     else:
         frames = np.stack([render(index, index + 1) for index in range(count)])
     return converter.to_image(frames) if converter and generator.spec.space is Space.beam else frames
+
+
+def generated_images(
+    generator: Generator, pairs: Pairs, values: np.ndarray, precision: TrainingPrecision
+) -> Callable[..., np.ndarray]:
+    """An `ImageSource` of a generator on a data set; the noise depends on frame number and draw.
+
+    A generator in beam space renders there, and its frames are scan-converted. Maps that are given too are not read.
+    """
+    space = generator.spec.space
+    mask, converter = pairs.mask(space), pairs.converter if space is Space.beam else None
+
+    def render(frames: np.ndarray, draw: int, given: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+        maps = given or {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}
+        seeds = torch.from_numpy(noise_seeds(frames, draw))
+        inputs = network_inputs(maps, values, mask)
+        return generate(generator, inputs, torch.from_numpy(mask), seeds, precision, converter)
+
+    return render

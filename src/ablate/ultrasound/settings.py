@@ -69,7 +69,7 @@ class SimulatorSettings:
         2, "Samples of a scanline whose mean grey level is a row in beam space; pixels lie between rows.", least=1
     )
     rays: int = setting(32, "Rays of a scanline and layer.", least=1, most=2**20)
-    layers: int = setting(3, "Elevational layers, within `layer_extent_mm`.", least=1, most=2**10)
+    layers: int = setting(3, "Elevational layers; of an odd number one is the image plane.", least=1, most=2**10)
     image_shape: tuple[int, int] = setting(
         (1000, 1386), "Rows and columns of the image.", least=1, most=2**14, unit="px"
     )

@@ -73,7 +73,7 @@ def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Pr
     return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe, quality)
 
 
-def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
+def on_fan(image: np.ndarray, mask: np.ndarray, rows: int) -> np.ndarray:
     """An image to lay on the fan in 3-D, transparent outside of it, (rows, w, 4) uint8."""
     size = max(1, round(image.shape[1] * rows / image.shape[0])), rows
     grey = Image.fromarray(image).resize(size, Image.Resampling.BILINEAR)

@@ -110,11 +110,14 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
         overrides.append(f"scene.folder={quoted(Path(wanted.scene.folder or '').resolve())}")
     if wanted.runs_dir != StudySettings.runs_dir:
         overrides.append(f"runs_dir={quoted(wanted.runs_dir)}")
-    unchanged = job_of([*overrides, "task=describe"]).settings
-    for section in _SECTIONS:
-        asked, known = plain(getattr(wanted, section)), plain(getattr(unchanged, section))
-        for name in ("seed", "press_mm") if section == "dataset" else sorted(asked.keys() - {"kind", "folder"}):
-            if (value := asked[name]) != known[name]:
-                text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
-                overrides.append(f"{section}.{name}={text}")
+    given: dict[str, str] = {}
+    for _ in range(2):  # what follows from a value that is not given, as the pulse from the depth, differs only then
+        made = job_of([*overrides, *(f"{key}={text}" for key, text in given.items()), "task=describe"]).settings
+        for section in _SECTIONS:
+            asked, known = plain(getattr(wanted, section)), plain(getattr(made, section))
+            for name in ("seed", "press_mm") if section == "dataset" else sorted(asked.keys() - {"kind", "folder"}):
+                if (value := asked[name]) != known[name]:
+                    text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+                    given[f"{section}.{name}"] = text
+    overrides += [f"{key}={text}" for key, text in given.items()]
     return shlex.join(["python", "-m", "ablate", *words, *overrides])

@@ -1,6 +1,5 @@
 """`task=view`: the probe in a browser, until it is stopped; on this machine alone, and without a tunnel."""
 
-import logging
 import socket
 import sys
 import threading
@@ -181,7 +180,6 @@ def open_server(port: int) -> Any:
     for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         sockets.unregister_handler(request)  # a browser could ask for a tunnel to another server
     sockets.on_client_connect(_only_own_pages(sockets, port))
-    logging.getLogger("websockets.server").addFilter(_in_a_sentence)
     return server
 
 
@@ -197,11 +195,3 @@ def _only_own_pages(sockets: Any, port: int) -> Any:
             print(f"ablate: a page of {origin[:100]} was refused", file=sys.stderr)
 
     return check
-
-
-def _in_a_sentence(record: logging.LogRecord) -> bool:
-    """Shorten the traceback of what a browser sends and cannot be understood to one line."""
-    if record.exc_info and record.exc_info[1] is not None:
-        record.msg = "ablate: a browser sent what cannot be read; its connection was closed"
-        record.args, record.exc_info = (), None
-    return True

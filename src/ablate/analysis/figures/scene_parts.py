@@ -19,7 +19,7 @@ BACKGROUND: Colour = (0.88, 0.90, 0.92)
 BONE: Colour = (0.95, 0.90, 0.76)
 GAS: Colour = (0.50, 0.55, 0.62)
 _SATURATIONS, _VALUES = (0.35, 0.60, 0.48), (0.93, 0.72)
-_HALF_WIDTH_MM = 7.0  # of the probe
+_HALF_WIDTH_MM, _MARK_MM = 7.0, 4.0  # of the probe; radius of its mark
 _BODY_MM = ((1.0, 14.0), (0.5, 36.0), (0.42, 85.0))  # share of the face's width, and how far behind its edges
 
 
@@ -62,9 +62,9 @@ def probe_body(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
     return housing
 
 
-def first_column_mark(probe: Probe, pose: np.ndarray, radius_mm: float = 4.0) -> trimesh.Trimesh:
+def first_column_mark(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
     """A ball on the housing's side that the image's first column shows."""
     edge, _, height = face_arc(probe, 41)[0]
-    ball = trimesh.creation.icosphere(2, radius=radius_mm)
-    ball.apply_translation(to_world(pose, np.array([edge - 0.5 * radius_mm, 0.0, height - 9.0])))
+    ball = trimesh.creation.icosphere(2, radius=_MARK_MM)
+    ball.apply_translation(to_world(pose, np.array([edge - 0.5 * _MARK_MM, 0.0, height - 9.0])))
     return ball

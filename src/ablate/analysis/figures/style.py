@@ -16,7 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from ablate.analysis.components import Component
-from ablate.analysis.scored import REFERENCE, RESIMULATION
+from ablate.analysis.scored import REFERENCE
 from ablate.metrics import Direction, Resimulation, metric_of
 from ablate.storage import written_whole
 
@@ -57,22 +57,21 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 
 
 def colour_of(name: str, names: Sequence[str]) -> str:
-    """The same colour for a name of a study in every figure: dark grey for re-simulation, black for the reference."""
-    fixed = {RESIMULATION: FLOOR_COLOUR, REFERENCE: "#000000"}
-    others = [other for other in names if other not in fixed]
-    return fixed.get(name) or COLOURS[others.index(name) % len(COLOURS)]
+    """The colour of a network, one of `names`: black for the reference."""
+    others = [other for other in names if other != REFERENCE]
+    return "#000000" if name == REFERENCE else COLOURS[others.index(name) % len(COLOURS)]
 
 
 def metric_panels(
-    metrics: Sequence[str], rows: Sequence[str], across: int, row_in: float = ROW_IN, head_in: float = HEAD_IN
+    metrics: Sequence[str], rows: Sequence[str], across: int, row_in: float = ROW_IN
 ) -> tuple[Figure, list[Axes]]:
     """An empty figure with one axes a metric, `across` side by side, and the shown names of rows from top to bottom.
 
-    Row k lies at the ordinate `len(rows) - k`. A row takes `row_in` inches, a panel's title `head_in`.
+    Row k lies at the ordinate `len(rows) - k`. A row takes `row_in` inches.
     """
     across = min(across, len(metrics))
     down = -(-len(metrics) // across)
-    figure = new_figure(PAGE_IN, LEGEND_IN + down * (head_in + row_in * max(len(rows), 2)))
+    figure = new_figure(PAGE_IN, LEGEND_IN + down * (HEAD_IN + row_in * max(len(rows), 2)))
     grid = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
     places = range(len(rows), 0, -1)
     for axes in grid[: len(metrics)]:
@@ -134,7 +133,7 @@ def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:
     return entries
 
 
-def one_legend(figure: Figure, panels: Sequence[Axes], columns: int = 4) -> None:
+def one_legend(figure: Figure, panels: Sequence[Axes], columns: int) -> None:
     """One legend above all panels, each entry once; none without an entry."""
     if entries := legend_entries(panels):
         style: dict[str, Any] = {"ncols": columns, "frameon": False, "handlelength": 1.6}

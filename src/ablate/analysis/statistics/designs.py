@@ -112,7 +112,8 @@ def _read(cells: pd.DataFrame) -> Design:
     if count == full:
         if len(factors) == 1:
             name = f"with and without one component ({short[factors[0]]})"
-            return Design(cells, name, "Nothing else differs between these runs.")
+            change = "An effect is the change from {} to {}. ".format(*cells[factors[0]].cat.categories)
+            return Design(cells, name, f"{change}Nothing else differs between these runs.")
         reading = "An effect is averaged over all combinations of the other components."
         return Design(cells, f"full factorial of {components} ({count} cells)", reading)
     words = defining_relation(cells.rename(columns=short), list(short.values()))
@@ -170,18 +171,20 @@ def effects_table(means: pd.DataFrame, design: Design) -> pd.DataFrame:
     -------
     DataFrame
         Columns metric and those of `factorial_effects`; p_holm, corrected over effects and metrics, and q, the share of
-        false claims among effects with a q as small (Benjamini and Hochberg 1995). A metric that the runs do not
-        suffice for is left out.
+        false claims among effects with a q as small (Benjamini and Hochberg 1995); the levels `from` and `to` of a
+        component's effect. A metric that the runs do not suffice for is left out.
     """
     tables = []
     for metric in judged_metrics(list(means["metric"])):
         with suppress(ValueError):
             effects = factorial_effects(means[means["metric"] == metric], design.factors)
             tables.append(effects.assign(metric=metric))
-    names = ["metric", *EFFECT_COLUMNS, "p_holm", "q"]
+    names = ["metric", *EFFECT_COLUMNS, "p_holm", "q", "from", "to"]
     if not tables:
         return pd.DataFrame(columns=names)
     table = pd.concat(tables, ignore_index=True)
     table["p_holm"] = where_known(holm, table["p"])
     table["q"] = where_known(stats.false_discovery_control, table["p"])
+    levels = {factor: list(design.cells[factor].cat.categories) for factor in design.factors}
+    table[["from", "to"]] = [levels.get(effect, ["", ""]) for effect in table["effect"]]
     return table[names]

@@ -152,8 +152,22 @@ def folds(mesh: trimesh.Trimesh) -> int:
     return int((alike & (height_mm.min(0) > TOLERANCE_MM)).sum())
 
 
+def _around(mesh: trimesh.Trimesh, later: Sequence[trimesh.Trimesh]) -> str:
+    """The name of the first of the closed meshes that all of a mesh lies in; empty without one."""
+    for other in later:
+        lower, upper = other.bounds
+        if (mesh.bounds > lower).all() and (mesh.bounds < upper).all():
+            points, _ = trimesh.sample.sample_surface(mesh, _POINTS, seed=0)
+            if _rays(other).contains_points(points).all():
+                return str(other.metadata.get("name", "a mesh"))
+    return ""
+
+
 def warn_of_overlaps(scene: Scene) -> None:
-    """Log a warning, once a scene, for what breaks the counting of crossings: `shared_walls`, `folds`, `overlaps`."""
+    """Log a warning, once a scene, for what breaks the counting of crossings, and for what nobody can see.
+
+    The first are `shared_walls`, `folds` and `overlaps`.
+    """
     if scene.looked_at:
         return
     object.__setattr__(scene, "looked_at", True)
@@ -161,8 +175,10 @@ def warn_of_overlaps(scene: Scene) -> None:
     for first, second, count in shared_walls(meshes):
         where = f"share a wall (at {count} of {_POINTS} points)"
         logger.warning("%s and %s %s: the tissue behind it is wrong; let them overlap", first, second, where)
-    for mesh in meshes:
+    for number, mesh in enumerate(meshes):
         name = mesh.metadata.get("name", "a mesh")
+        if around := _around(mesh, meshes[number + 1 :]):
+            logger.warning("%s lies within %s, which comes after it and hides it; list it after that", name, around)
         if count := folds(mesh):
             why = f"{count} pairs of its triangles lie on each other, as where concave polygons are cut into triangles"
             logger.warning("%s: %s: the tissue behind them is wrong; export it with triangles", name, why)

@@ -30,9 +30,7 @@ class Body:
     """The 3-D part of the page; `tissues` are the meshes of each tissue, by its name."""
 
     grabbed: Callable[[str, np.ndarray], object]  # called with the phase of a drag of the probe, and the point, mm
-    clicked: Callable[
-        [np.ndarray, np.ndarray], object
-    ]  # with origin, mm, and direction of the line of sight of a click
+    clicked: Callable[[np.ndarray, np.ndarray], object]  # with origin, mm, and direction of the click's line of sight
     _probe: Probe | None
 
     def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):

@@ -124,9 +124,6 @@ def add_scan_tab(page: Page) -> None:
     def levels() -> tuple[float, ...]:
         return display().tgc_db or (0.0,) * _TGC_SLIDERS
 
-    def level(number: int) -> float:
-        return levels()[number]
-
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
@@ -140,7 +137,9 @@ def add_scan_tab(page: Page) -> None:
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
-            page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
+            page.add_slider(
+                label, (-20.0, 20.0, 1.0), partial(lambda n: levels()[n], number), partial(set_level, number)
+            )
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda mode: session.show(moving=Moving(mode))))
     page.keep_equal(moving, lambda: str(session.state.moving))

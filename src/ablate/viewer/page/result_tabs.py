@@ -133,10 +133,9 @@ def add_keep_tab(page: Page) -> None:
         elif (sweep := page.sweep) is not None:
             page.sweep = None
             file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep)
-            answer.content = (
-                f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them. Poses "
-            )
-            answer.content += "beside each other look alike, so its test frames are not unseen sites (docs/anatomy.md)."
+            alike = "Poses beside each other look alike, so its test frames are not unseen sites (docs/anatomy.md)."
+            kept = f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
+            answer.content = f"{kept} {alike}"
             if count >= 3:  # one of each part
                 words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"
                 command.value = command_line(settings, session.state, *words)
