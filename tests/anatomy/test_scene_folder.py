@@ -82,6 +82,14 @@ def structure(**values: object) -> dict[str, object]:
         (structure(mesh="skin.txt"), r": structures\[0\]\.mesh='skin\.txt': allowed are names of files"),
         (structure(mesh="empty.obj"), r": structures\[0\]\.mesh: .*empty\.obj is empty"),
         ({"tissues": {"fat": {"speed": 1}}}, r": tissues\.fat: key='speed' \(did you mean speed_m_s"),
+        (
+            {"tissues": {"Graft": {}, "graft": {}}},
+            r"\.Graft: nothing here is made of it; did you mean graft\?",
+        ),
+        (
+            {"tissues": {"fat": {"scatterer_density": 1e-6}}},
+            r"density=1e-06: allowed are 0, and 0\.0001 to 1",
+        ),
         ({"tissues": {"fat": {"speed_m_s": "fast"}}}, r"tissue .fat.: speed_m_s='fast': allowed are numbers"),
         ({"tissues": {"fat": {"speed_m_s": -1}}}, r": tissues: tissue 'fat': speed_m_s=-1: allowed are numbers from"),
         ({"tissues": {"fat": {"texture_mm": 1}}}, r": tissues: tissue .fat.: texture_mm=1: allowed are 3 numbers"),

@@ -17,7 +17,7 @@ from ablate.runs.job import Job
 from ablate.runs.place import check_place, sources_of
 from ablate.runs.run import Run
 from ablate.settings.study import ConfigurationError
-from support.finished_runs import finish
+from support.finished_runs import PARAMETERS, finish
 
 
 def swept(runs: Path, *words: str) -> list[Job]:
@@ -76,6 +76,26 @@ def test_what_some_labels_tell_is_said_of_the_others(tmp_path: Path) -> None:
     assert not any("training.steps" in note for note in usable_runs(jobs[0].settings.study_dir).notes)
     answered(swept(tmp_path, "variant=nsa2h", "training.steps=2"))
     assert "training.steps is 2 in nsa2h." in usable_runs(jobs[0].settings.study_dir).notes
+
+
+def test_runs_that_a_command_would_not_train_as_one_study_are_named(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
+    other, *_ = swept(tmp_path / "elsewhere", "variant=sa2h-att", "training.steps=3")
+    for job in (*jobs, other):
+        finish(job)
+    shutil.copytree(other.folder, jobs[0].settings.study_dir / "sa2h-att" / "seed0")
+    notes = usable_runs(jobs[0].settings.study_dir).notes
+    assert any("training.steps is 6 in" in note and "3 in sa2h-att/seed0: they are no one" in note for note in notes)
+
+
+def test_one_training_on_the_same_frames_under_two_keys_is_named(tmp_path: Path) -> None:
+    """As where a scene has fewer poses than either of two numbers of frames."""
+    jobs = swept(tmp_path, "dataset.frames=12,24")
+    for job in jobs:
+        scalars = PARAMETERS | {"test/psnr": 20.0 + job.settings.seed}
+        finish(job, {"psnr": scalars["test/psnr"]}, scalars=scalars, data=job.data.name)
+    notes = usable_runs(jobs[0].settings.study_dir).notes
+    assert "sa2h/seed1 and sa2h.frames-24/seed1 have the same frames and scores, and count twice: remove one." in notes
 
 
 def test_a_key_that_some_runs_lack_is_compared_where_it_is(tmp_path: Path) -> None:

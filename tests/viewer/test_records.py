@@ -34,6 +34,16 @@ def test_a_command_line_is_composed_to_the_probe_and_simulator_that_were_seen(wo
     assert (again.probe, again.simulator, again.scene) == (settings.probe, settings.simulator, settings.scene)
 
 
+@pytest.mark.parametrize(("kind", "depth_mm"), [("linear", 100.0), ("phased", 90.0), ("convex", 80.0)])
+def test_after_a_change_of_depth_the_pulse_is_still_the_one_that_was_seen(kind: str, depth_mm: float) -> None:
+    """By default it follows from the size of the frame."""
+    settings = jobs_of(["task=view", f"probe={kind}"])[0].settings
+    probe = replace(settings.probe, depth_mm=depth_mm)
+    line = command_line(settings, State(STATE.pose, probe, settings.simulator), "task=render")
+    again = jobs_of(shlex.split(line)[3:])[0].settings
+    assert (again.probe, again.simulator) == (probe, settings.simulator)
+
+
 def test_a_command_line_names_a_folder_whatever_its_name_is(tmp_path: Path) -> None:
     folder, runs = tmp_path / "it's (2), my scene", tmp_path / "runs, mine"
     folder.mkdir()

@@ -74,8 +74,12 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
     for run in runs[1:]:
         presets = runs[0].spec["settings"]["preset"], run.spec["settings"]["preset"]
         apart = not_shared(runs[0].spec["semantic"], run.spec["semantic"], {*runs[0].changed, *run.changed}, presets)
-        for key, there, here in apart:
-            told.append(f"{key} is {there} in {runs[0].name} and {here} in {run.name}: this is no one study.")
+        told += [f"{key} is {a} in {runs[0].name} and {b} in {run.name}: they are no one study." for key, a, b in apart]
+    twins: dict[object, Run] = {}
+    for run in (*runs, *blocks):
+        scores = tuple(item for item in sorted(run.result["scalars"].items()) if item[0].startswith("test/"))
+        if scores and (twin := twins.setdefault((run.result["pixels"], scores), run)).data != run.data:
+            told.append(f"{twin.name} and {run.name} have the same frames and scores, and count twice: remove one.")
     counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
     notes = [f"{what}: {listed(names)}." for what, names in counted.items()]
     return UsableRuns(tuple(runs), tuple(blocks), (*notes, *told))

@@ -39,8 +39,7 @@ _SIZE = "model.width"  # of all networks of a study alike, unless it is swept
 def composed(overrides: Sequence[str]) -> DictConfig:
     """The whole configuration of one job, its node `hydra` included; what cannot be composed is refused in one line.
 
-    Hydra takes long to read files. So it composes the words that choose them once, and the other words give values to
-    a copy, as Hydra itself does last; what it records of all words is that of the first.
+    Hydra takes long to read files: it composes the words that choose them once, and the others give a copy its values.
     """
     register()
     with in_one_line(overrides), ExitStack() as stack:

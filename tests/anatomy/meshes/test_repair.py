@@ -194,6 +194,18 @@ def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> N
     assert shared_walls([a]) == shared_walls([]) == []
 
 
+def test_a_structure_that_a_later_one_hides_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    organ, body, beside = (trimesh.creation.icosphere(3, radius=radius) for radius in (10.0, 40.0, 10.0))
+    beside.apply_translation((38, 0, 0))
+    for name, mesh in {"organ": organ, "body": body, "beside": beside}.items():
+        mesh.metadata["name"] = name
+    warn_of_overlaps(scene_of(body, organ, beside))
+    warn_of_overlaps(scene_of(beside, body))
+    assert not caplog.records
+    warn_of_overlaps(scene_of(organ, body))
+    assert "organ lies within body, which comes after it and hides it" in caplog.text
+
+
 def test_scenes_of_more_structures_than_embree_has_devices_are_looked_at(caplog: pytest.LogCaptureFixture) -> None:
     """Each mesh of trimesh that casts rays has a device of its own, and a process with 1,000 of them crashes."""
     boxes = [trimesh.creation.box((8, 8, 0.3)).apply_translation((0, 0, 0.5 * i)) for i in range(1100)]
