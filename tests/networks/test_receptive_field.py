@@ -30,7 +30,8 @@ def make_linear(network: nn.Module) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        *({"depth": depth} for depth in (1, 2, 3, 4, 8)),
+        *({"depth": depth} for depth in (1, 2, 3, 4)),
+        pytest.param({"depth": 8}, marks=pytest.mark.slow),
         {"depth": 2, "attenuation": "none"},
         {"depth": 2, "noise": "input"},
         {"depth": 2, "grain": "refine"},

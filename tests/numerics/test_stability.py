@@ -13,7 +13,10 @@ from ablate.numerics.stability.checks import run as run_case
 from ablate.ultrasound import attenuation
 from support.studies import run as run_command
 
-LONG = ("250 surfaces of R_p = 0.1, 0.5 mm apart", "254 tissues, and one more")
+LONG = (
+    *("250 surfaces of R_p = 0.1, 0.5 mm apart", "254 tissues, and one more", "constant maps through the generators"),
+    *("sa2h-depth in bf16, float32 and float64", "lsa2h in bf16, float32 and float64", "lambda 0"),
+)
 CHEAP = ("A: soft tissue behind 2200 dB", "A: one line, one sample, no loss", "grazing incidence, by the formulas")
 
 

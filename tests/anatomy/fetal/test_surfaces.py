@@ -8,7 +8,14 @@ from scipy.spatial.transform import Rotation
 from ablate.anatomy.meshes.check import shared_walls
 from ablate.anatomy.meshes.repair import odd_edges
 
-CASES = [(4_000, 0), (4_000, 4), (30_000, 1), (30_000, 2), (30_000, 3), (300_000, 0)]
+CASES = [
+    (4_000, 0),
+    (4_000, 4),
+    (30_000, 1),
+    (30_000, 2),
+    (30_000, 3),
+    pytest.param(300_000, 0, marks=pytest.mark.slow),
+]
 
 
 def nesting(mesh: trimesh.Trimesh, rays: int) -> np.ndarray:
