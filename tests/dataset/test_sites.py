@@ -66,6 +66,12 @@ def test_roll_turns_to_the_sagittal_plane_and_tilt_rocks_within_the_plane() -> N
     assert tilted[:3, 2] @ upright[:3, 2] == pytest.approx(np.cos(np.deg2rad(15)))
 
 
+def test_a_press_that_is_no_number_is_refused() -> None:
+    grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (0.0,), (0.0,), (0.0,))
+    with pytest.raises(ValueError, match="press_mm=nan: allowed are finite numbers"):
+        place_probe(cylinder(100), grid, press_mm=float("nan"))
+
+
 @pytest.mark.parametrize(("tilt", "press_mm"), [(-20.0, 0.0), (0.0, 3.0), (15.0, 8.0)])
 def test_on_a_flat_skin_the_arc_reaches_the_press_and_no_deeper(tilt: float, press_mm: float) -> None:
     """The lowest point of a rocked arc is that of its circle: its centre stays 40 mm - press above a flat skin."""

@@ -111,8 +111,7 @@ def write_comparison(study: Study, title: str) -> list[str]:
     except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
         frames, missing = [], [f"There are no pictures: {' '.join(str(error).split())}."]
     figures = draw_figures(study, frames, partial)
-    metrics = {*study.table["metric"]} - {FRAME_TIME}
-    notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, metrics)]
+    notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*study.table["metric"]} - {FRAME_TIME})]
     analysis.write_report(
         partial / "report.html",
         title,

@@ -88,6 +88,8 @@ def press(
     the poses, (n, 4, 4) float64, and for each whether all of the face has body before it and whether any of it lies in
     bone or gas, (n,) bool each.
     """
+    if not np.isfinite(press_mm):
+        raise ValueError(f"press_mm={press_mm}: allowed are finite numbers")
     face = face_points(probe)
     n, k = len(poses), len(face)
     directions = np.repeat(approaches, k, axis=0)

@@ -164,10 +164,7 @@ def _around(mesh: trimesh.Trimesh, later: Sequence[trimesh.Trimesh]) -> str:
 
 
 def warn_of_overlaps(scene: Scene) -> None:
-    """Log a warning, once a scene, for what breaks the counting of crossings, and for what nobody can see.
-
-    The first are `shared_walls`, `folds` and `overlaps`.
-    """
+    """Log a warning, once a scene, for what is hidden, and for `shared_walls`, `folds`, `overlaps`: counts break."""
     if scene.looked_at:
         return
     object.__setattr__(scene, "looked_at", True)
