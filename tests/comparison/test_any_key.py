@@ -78,16 +78,6 @@ def test_what_some_labels_tell_is_said_of_the_others(tmp_path: Path) -> None:
     assert "training.steps is 2 in nsa2h." in usable_runs(jobs[0].settings.study_dir).notes
 
 
-def test_runs_that_a_command_would_not_train_as_one_study_are_named(tmp_path: Path) -> None:
-    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
-    other, *_ = swept(tmp_path / "elsewhere", "variant=sa2h-att", "training.steps=3")
-    for job in (*jobs, other):
-        finish(job)
-    shutil.copytree(other.folder, jobs[0].settings.study_dir / "sa2h-att" / "seed0")
-    notes = usable_runs(jobs[0].settings.study_dir).notes
-    assert any("training.steps is 6 in" in note and "3 in sa2h-att/seed0: they are no one" in note for note in notes)
-
-
 def test_one_training_on_the_same_frames_under_two_keys_is_named(tmp_path: Path) -> None:
     """As where a scene has fewer poses than either of two numbers of frames."""
     jobs = swept(tmp_path, "dataset.frames=12,24")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ablate.analysis import REFERENCE, listed
-from ablate.runs.job import differences, not_shared, semantic_key
+from ablate.runs.job import differences, semantic_key
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import flat
 from ablate.settings.conf import components
@@ -71,10 +71,6 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         levels = {label: of_run[key] for label, of_run in untold.items() if key in of_run}
         if levels and (len(set(levels.values())) > 1 or reference not in levels):
             told.append(f"{key} is {', '.join(f'{value} in {label}' for label, value in levels.items())}.")
-    for run in runs[1:]:
-        presets = runs[0].spec["settings"]["preset"], run.spec["settings"]["preset"]
-        apart = not_shared(runs[0].spec["semantic"], run.spec["semantic"], {*runs[0].changed, *run.changed}, presets)
-        told += [f"{key} is {a} in {runs[0].name} and {b} in {run.name}: they are no one study." for key, a, b in apart]
     twins: dict[object, Run] = {}
     for run in (*runs, *blocks):
         scores = tuple(item for item in sorted(run.result["scalars"].items()) if item[0].startswith("test/"))

@@ -100,7 +100,7 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     if lacking := settings.dataset.frames - len(layout.poses):
         left_out = (*left_out, f"{lacking} of {settings.dataset.frames} frames asked for: there are no more poses")
     tqdm.write(f"Simulating pairs into {folder}")
-    tqdm.write(f"{layout.placement}; {len(layout.sites)} frames")
+    tqdm.write(f"{layout.placement}; {len(layout.sites)} of {settings.dataset.frames} frames asked for")
     for line in left_out:
         tqdm.write(f"left out: {line}")
     poses = {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped}
