@@ -45,7 +45,7 @@ def test_metrics_that_only_some_runs_have_are_named(study, scalars):
 
     assert lines(study, scalars) == [
         "Not all runs have each metric: FD speckle of nsa2h (1 of 3), FD speckle of sa2h (1 of 3); means and tests are "
-        "over the runs that have it; the command of the others, with this metric, scores them."
+        "over the runs that have it; the command of the others scores them, if they can be."
     ]
     assert lines(study, scalars.iloc[:0]) == []
     part = study[(study["variant"] != "sa2h") | (study["metric"] != "pchi2") | (study["seed"] != 1)]

@@ -41,7 +41,7 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
         (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), ": pose 1: pose must be rigid: .* a mirror image"),
         (np.full((1, 4, 4), np.nan), ": pose 0: pose must be finite"),
         (np.eye(3), r": must hold poses of shape \(n, 4, 4\), not float64 of \(3, 3\)"),
-        ("", r": its first line must be x,y,z,qw,qx,qy,qz and, if wanted, site, not$"),
+        ("", r": its first line must be x,y,z,qw,qx,qy,qz and, if wanted, site, not empty$"),
         ("x,y,z,qw,qx,qy,qz\n", r": must hold poses of shape \(n, 4, 4\), not float64 of \(0, 4, 4\)"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", ": its first line must be .*, not x,y,z,qw,qx,qy$"),
         ("x,y,z,qw,qx,qy,qz\n0,0,0,1,1,0,0\n", ", line 2: the quaternion must have length 1, not 1.414"),

@@ -66,6 +66,9 @@ def test_labels_name_what_differs_from_the_variant(arguments: list[str], label: 
         ["preset=tiny", "variant=nsa2h", "seed=3", "runs_dir='a,b'", "evaluation.pictures=2"],
         ["probe=linear", "probe.depth_mm=30", "probe.width_mm=20"],
         ["model={depth:${levels:8},noise:input}", "encoding=arbitrary", "scene.anatomy_seed=4"],
+        ["model.depth=8", "++model.depth=4"],
+        ["seed=5", "++seed=4"],
+        ["probe.depth_mm=40", "probe={depth_mm:30}"],
         ["training={steps:5,batch_size:2}", "training.steps=7", "model.depth=${levels:4}", "preset=laptop"],
     ],
 )

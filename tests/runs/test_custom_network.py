@@ -48,7 +48,7 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.delitem(sys.modules, "toy_networks")
     with pytest.raises(ConfigurationError, match=r"toy_networks\.Toy: edited since the sweep began; repeat"):
         run_job(begun)
-    with pytest.raises(ValueError, match=r"last\.ckpt: .*the code of toy_networks\.Toy is not that of the training"):
+    with pytest.raises(ValueError, match=r"last\.ckpt: the code of toy_networks\.Toy is not that of the training"):
         load_generator(trained)
     with pytest.raises(ConfigurationError, match=r"holds another configuration \(model.source: "):
         run(*sizes, "variant=custom", "model.target=toy_networks.Toy")

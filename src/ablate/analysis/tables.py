@@ -101,7 +101,7 @@ def partly_scored(runs: pd.DataFrame, metrics: Collection[str]) -> list[str]:
         for (variant, n), trained in zip(of_variant[metric].count().items(), of_variant.size(), strict=True)
         if 0 < n < trained
     ]
-    again = "means and tests are over the runs that have it; the command of the others, with this metric, scores them"
+    again = "means and tests are over the runs that have it; the command of the others scores them, if they can be"
     return [f"Not all runs have each metric: {', '.join(rows)}; {again}."] if rows else []
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -84,7 +83,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     of_labels = labels.structures if labels else ()
     used = {background.name, *(tissue.name for _, tissue in (*meshes, *of_labels))}
     for name in sorted({str(name) for name in content.get("tissues") or ()} - used):
-        if near := get_close_matches(name.lower(), used, 1, 0.8):
+        if near := [other for other in used if other.casefold() == name.casefold()]:
             raise ValueError(f"{path}: tissues.{name}: nothing here is made of it; did you mean {near[0]}?")
     names = [*(name for name, _ in of_labels), *(mesh.name for mesh, _ in meshes)]
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None

@@ -37,7 +37,7 @@ def csv_rows(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) ->
         raise ValueError(f"{path}: not readable as CSV in UTF-8 ({error})") from error
     if not set(needed) <= set(columns) <= {*needed, *optional} or len(set(columns)) < len(columns):
         also = f" and, if wanted, {', '.join(optional)}" if optional else ""
-        raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns)}")
+        raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns) or 'empty'}")
     return rows
 
 

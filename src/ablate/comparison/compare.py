@@ -236,11 +236,10 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
         notes = list(runs[0].data_set.about["left_out"])
     except (OSError, ValueError, KeyError):
         notes = []  # the pairs have been deleted
-    of_runs: dict[str, list[str]] = {}
-    for run in runs:
-        for note in run.result.get("notes", ()):
-            of_runs.setdefault(str(note), []).append(run.name)
-    notes += [note if len(names) == len(runs) else f"{listed(names)}: {note}" for note, names in of_runs.items()]
+    told = [(str(note), run.name) for run in runs for note in run.result.get("notes", ())]
+    for note in dict.fromkeys(note for note, _ in told):
+        names = [name for other, name in told if other == note]
+        notes.append(note if len(names) == len(runs) else f"{listed(names)}: {note}")
     if not any(levels_of(run.spec["semantic"]).get("model.extra_input") == "low" for run in runs):
         notes.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
     return notes

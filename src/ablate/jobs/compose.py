@@ -6,7 +6,7 @@ A label is the variant and what was changed beside it, such as `sa2h.depth-8`.
 import itertools
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from copy import deepcopy
 from functools import cache
 from typing import Any
@@ -39,25 +39,26 @@ _SIZE = "model.width"  # of all networks of a study alike, unless it is swept
 def composed(overrides: Sequence[str]) -> DictConfig:
     """The whole configuration of one job, its node `hydra` included; what cannot be composed is refused in one line.
 
-    Hydra takes long to read files: it composes the words that choose them once, and the others give a copy its values.
+    Hydra takes long to read files: it composes the words that choose them once, and plain values are given to a copy.
     """
     register()
     with in_one_line(overrides), ExitStack() as stack:
         if not GlobalHydra.instance().is_initialized():  # as the command line does it
             folder = str(conf_folder())
             stack.enter_context(initialize_config_dir(folder, version_base=VERSION_BASE, job_name="ablate"))
+        search_path = GlobalHydra.instance().config_loader().get_search_path().get_path()
+        alone = sum(each.path.startswith("file://") for each in search_path) == 1  # without --config-dir
         files = {path: path.stat().st_mtime_ns for path in sorted(conf_folder().rglob("*.yaml"))}
-        state = (str(GlobalHydra.instance().config_loader().get_search_path()), *files.items())
         groups = {path.parent.name for path in files}
-        values = [override for override in parsed(overrides) if _gives_a_value(override, groups)]
-        others = [word for word in overrides if word not in {override.input_line for override in values}]
-        config = deepcopy(_of_files(tuple(others), state))
-        try:
-            for override in values:
-                OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
-        except OmegaConfBaseException:  # which Hydra explains
-            return compose(CONFIG, list(overrides), return_hydra_config=True)
-        return config
+        words = [(override, _kind(override, groups)) for override in parsed(overrides)]
+        if alone and all(kind for _, kind in words):
+            chosen = tuple(str(override.input_line) for override, kind in words if kind == "file")
+            config = deepcopy(_of_files(chosen, tuple(files.items())))
+            with suppress(OmegaConfBaseException):  # which Hydra explains
+                for override in (override for override, kind in words if kind == "value"):
+                    OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+                return config
+        return compose(CONFIG, list(overrides), return_hydra_config=True)
 
 
 @cache
@@ -65,11 +66,15 @@ def _of_files(words: tuple[str, ...], _state: object) -> DictConfig:
     return compose(CONFIG, list(words), return_hydra_config=True)
 
 
-def _gives_a_value(override: Override, groups: Collection[str]) -> bool:
-    """Whether a word chooses no file of conf/ and is none for Hydra itself."""
-    key, is_plain = override.key_or_group, override.type is OverrideType.CHANGE and override.package is None
-    of_hydra = "/" in key or key.partition(".")[0] == "hydra"
-    return is_plain and not (override.is_sweep_override() or of_hydra or key in groups)
+def _kind(override: Override, groups: Collection[str]) -> str | None:
+    """Whether a word chooses a file of conf/, or is for Hydra itself; whether it gives a value; None for others."""
+    key = override.key_or_group
+    if override.is_sweep_override() or override.package is not None or key.startswith("hydra.searchpath"):
+        return None
+    chooses = key in groups and isinstance(override.value(), str)
+    if override.type in (OverrideType.CHANGE, OverrideType.ADD) and (chooses or key.startswith(("hydra.", "hydra/"))):
+        return "file"
+    return "value" if override.type is OverrideType.CHANGE and key not in groups else None
 
 
 def parsed(words: Sequence[str]) -> list[Override]:

@@ -97,7 +97,7 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     training = layout.poses[layout.split == Part.train]
     simulator = with_patient_gain(scene, settings.probe, settings.simulator, training)
     left_out = plan_scene(scene, settings.probe, simulator, layout.poses).left_out
-    if lacking := settings.dataset.frames - len(layout.poses):
+    if (lacking := settings.dataset.frames - len(layout.poses)) and not settings.dataset.poses:
         left_out = (*left_out, f"{lacking} of {settings.dataset.frames} frames asked for: there are no more poses")
     tqdm.write(f"Simulating pairs into {folder}")
     tqdm.write(f"{layout.placement}; {len(layout.sites)} of {settings.dataset.frames} frames asked for")

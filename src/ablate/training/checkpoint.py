@@ -30,14 +30,14 @@ def load_generator(path: Path) -> Generator:
     whose code has changed since, is a ValueError.
     """
     checkpoint = read_checkpoint(path)
+    target = checkpoint.get("hyper_parameters", {}).get("spec", {}).get("target")
+    if target is not None and source_digest(target) != checkpoint.get("target_source"):
+        raise ValueError(f"{path}: the code of {target} is not that of the training: restore it, or train again")
     try:
         made, weights = checkpoint["hyper_parameters"], checkpoint["state_dict"].items()
         kept = "average." if TrainingSettings(**made["settings"]).ema_decay > 0 else "generator."
-        spec = GeneratorSpec(**made["spec"])
-        if spec.target is not None and source_digest(spec.target) != checkpoint["target_source"]:
-            raise ValueError(f"the code of {spec.target} is not that of the training: restore it, or train again")
         with torch.random.fork_rng():
-            generator = Generator(spec)
+            generator = Generator(GeneratorSpec(**made["spec"]))
         generator.load_state_dict({key.removeprefix(kept): w for key, w in weights if key.startswith(kept)})
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())

@@ -152,19 +152,18 @@ def folds(mesh: trimesh.Trimesh) -> int:
     return int((alike & (height_mm.min(0) > TOLERANCE_MM)).sum())
 
 
-def _around(mesh: trimesh.Trimesh, later: Sequence[trimesh.Trimesh]) -> str:
-    """The name of the first of the closed meshes that all of a mesh lies in; empty without one."""
-    for other in later:
-        lower, upper = other.bounds
-        if (mesh.bounds > lower).all() and (mesh.bounds < upper).all():
-            points, _ = trimesh.sample.sample_surface(mesh, _POINTS, seed=0)
-            if _rays(other).contains_points(points).all():
-                return str(other.metadata.get("name", "a mesh"))
+def _around(mesh: trimesh.Trimesh, others: Sequence[trimesh.Trimesh], bounds: np.ndarray) -> str:
+    """The name of the first of closed meshes, with these bounds, that all of a mesh lies in; empty without one."""
+    lower, upper = mesh.bounds
+    for k in np.flatnonzero((bounds[:, 0] < lower).all(1) & (bounds[:, 1] > upper).all(1)).tolist():
+        points, _ = trimesh.sample.sample_surface(mesh, _POINTS, seed=0)
+        if _rays(others[k]).contains_points(points).all():
+            return str(others[k].metadata.get("name", "a mesh"))
     return ""
 
 
 def warn_of_overlaps(scene: Scene) -> None:
-    """Log a warning, once a scene, for what is hidden, and for `shared_walls`, `folds`, `overlaps`: counts break."""
+    """Log a warning, once a scene, for what is hidden, and for walls that make the tissue behind them wrong."""
     if scene.looked_at:
         return
     object.__setattr__(scene, "looked_at", True)
@@ -172,9 +171,10 @@ def warn_of_overlaps(scene: Scene) -> None:
     for first, second, count in shared_walls(meshes):
         where = f"share a wall (at {count} of {_POINTS} points)"
         logger.warning("%s and %s %s: the tissue behind it is wrong; let them overlap", first, second, where)
+    bounds = np.array([mesh.bounds for mesh in meshes])
     for number, mesh in enumerate(meshes):
         name = mesh.metadata.get("name", "a mesh")
-        if around := _around(mesh, meshes[number + 1 :]):
+        if around := _around(mesh, meshes[number + 1 :], bounds[number + 1 :]):
             logger.warning("%s lies within %s, which comes after it and hides it; list it after that", name, around)
         if count := folds(mesh):
             why = f"{count} pairs of its triangles lie on each other, as where concave polygons are cut into triangles"
