@@ -12,7 +12,6 @@ from ablate.setting import check_settings, naming, setting
 
 _GAS_BELOW_MRAYL, _BONE_ABOVE_MRAYL = 0.5, 3.0  # soft tissue and fluid lie between
 _FLUID_UP_TO_MRAYL = 2.0
-_SPARSEST = 1e-4  # a table of strengths then holds a dozen scatterers, and with fewer perhaps none
 _FLUID_UP_TO_POWER = 0.01  # of the scatterers: blood has 0.006; the darkest soft tissue, the thalamus, has 0.017
 
 
@@ -61,8 +60,6 @@ class Tissue:
             raise ValueError(f"tissue name must be a non-empty string, not {self.name!r}")
         with naming(f"tissue {self.name!r}: "):
             check_settings(self)
-            if 0 < self.scatterer_density < _SPARSEST:
-                raise ValueError(f"scatterer_density={self.scatterer_density:g}: allowed are 0, and {_SPARSEST:g} to 1")
 
     @property
     def scatter_power(self) -> float:
