@@ -86,7 +86,6 @@ def structure(**values: object) -> dict[str, object]:
             {"tissues": {"Graft": {}, "graft": {}}},
             r"\.Graft: nothing here is made of it; did you mean graft\?",
         ),
-        ({"tissues": {"fat": {"scatterer_density": 1e-6}}},),
         ({"tissues": {"fat": {"speed_m_s": "fast"}}}, r"tissue .fat.: speed_m_s='fast': allowed are numbers"),
         ({"tissues": {"fat": {"speed_m_s": -1}}}, r": tissues: tissue 'fat': speed_m_s=-1: allowed are numbers from"),
         ({"tissues": {"fat": {"texture_mm": 1}}}, r": tissues: tissue .fat.: texture_mm=1: allowed are 3 numbers"),

@@ -127,7 +127,7 @@ def test_of_a_drag_what_is_stale_is_left_out_and_of_keys_nothing(client: Client,
     finally:
         viewer.session.listeners.pop()
     assert asked[-4:] == [10.0, 13.0, 16.0, 19.0]
-    assert asked[:-4] in ([], [1.0]), "the first may have been answered at once"
+    assert len(asked[:-4]) <= 1, "what came alone, or before the rest, may have been answered at once"
 
 
 def test_a_button_that_waits_stays_the_one_that_was_pressed(client: Client, viewer: Viewer) -> None:
