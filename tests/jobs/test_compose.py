@@ -69,6 +69,7 @@ def test_labels_name_what_differs_from_the_variant(arguments: list[str], label: 
         ["model.depth=8", "++model.depth=4"],
         ["seed=5", "++seed=4"],
         ["probe.depth_mm=40", "probe={depth_mm:30}"],
+        ["probe={depth_mm:40}", "probe.depth_mm=30", "probe=linear"],
         ["training={steps:5,batch_size:2}", "training.steps=7", "model.depth=${levels:4}", "preset=laptop"],
     ],
 )
@@ -77,6 +78,15 @@ def test_values_given_to_a_copy_are_what_hydra_composes(words: list[str]) -> Non
     with initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE):
         expected = [settings(compose(CONFIG, [*words, f"training.batch_size={size}"])) for size in (1, 2)]
     assert made == expected
+
+
+def test_hydra_composes_the_files_of_a_study_once_and_not_for_each_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+    monkeypatch.setattr(
+        "ablate.jobs.compose.compose", lambda name, words, **kw: asked.append(words) or compose(name, words, **kw)
+    )
+    assert len(jobs_of(["+study=full_model", "training.l1_weight=7"])) == 52
+    assert len(asked) <= 2
 
 
 def test_a_file_of_conf_that_is_edited_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,14 +46,13 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         if not GlobalHydra.instance().is_initialized():  # as the command line does it
             folder = str(conf_folder())
             stack.enter_context(initialize_config_dir(folder, version_base=VERSION_BASE, job_name="ablate"))
-        search_path = GlobalHydra.instance().config_loader().get_search_path().get_path()
-        alone = sum(each.path.startswith("file://") for each in search_path) == 1  # without --config-dir
+        searched = (each.path for each in GlobalHydra.instance().config_loader().get_search_path().get_path())
         files = {path: path.stat().st_mtime_ns for path in sorted(conf_folder().rglob("*.yaml"))}
         groups = {path.parent.name for path in files}
         words = [(override, _kind(override, groups)) for override in parsed(overrides)]
-        if alone and all(kind for _, kind in words):
+        if all(kind for _, kind in words):
             chosen = tuple(str(override.input_line) for override, kind in words if kind == "file")
-            config = deepcopy(_of_files(chosen, tuple(files.items())))
+            config = deepcopy(_of_files(chosen, (*searched, *files.items())))
             with suppress(OmegaConfBaseException):  # which Hydra explains
                 for override in (override for override, kind in words if kind == "value"):
                     OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
@@ -69,12 +68,13 @@ def _of_files(words: tuple[str, ...], _state: object) -> DictConfig:
 def _kind(override: Override, groups: Collection[str]) -> str | None:
     """Whether a word chooses a file of conf/, or is for Hydra itself; whether it gives a value; None for others."""
     key = override.key_or_group
-    if override.is_sweep_override() or override.package is not None or key.startswith("hydra.searchpath"):
+    if override.is_sweep_override() or override.package is not None:
         return None
     chooses = key in groups and isinstance(override.value(), str)
     if override.type in (OverrideType.CHANGE, OverrideType.ADD) and (chooses or key.startswith(("hydra.", "hydra/"))):
         return "file"
-    return "value" if override.type is OverrideType.CHANGE and key not in groups else None
+    gives = key not in groups or isinstance(override.value(), dict)
+    return "value" if override.type is OverrideType.CHANGE and gives else None
 
 
 def parsed(words: Sequence[str]) -> list[Override]:
