@@ -84,6 +84,18 @@ def test_every_design_is_named_and_gives_the_effects_it_can(subsets, name, effec
     assert estimates[list(expected)].to_dict() == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize("beside", [[NAMES], ADD_ONE_IN[1:]], ids=["nothing on", "add one in"])
+def test_an_interaction_of_cells_far_from_the_full_model_is_no_effect_of_other_components(beside):
+    components = study_of([*LEAVE_ONE_OUT, *beside])
+    design = find_design(components, FACTORS)
+    assert design.name == "one change at a time around sa2h (6 cells)"
+    assert f"Left out of it: {label_of(beside[0])}" in design.reading
+    runs = runs_of(components, lambda off: 20.0 * (off["attenuation"] or off["noise"]))
+    estimates = effects_of(runs, design).set_index("effect")["estimate"].to_dict()
+    expected = {"attenuation": 20, "noise": 20, "concat": 0, "upsampling": 0, "depth": 0}
+    assert estimates == pytest.approx(expected, abs=1e-9)
+
+
 def test_without_the_reference_the_cell_in_the_middle_stands_in_for_it():
     bare = study_of(ADD_ONE_IN[1:])
     design = find_design(bare, FACTORS)

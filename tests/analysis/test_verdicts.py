@@ -252,6 +252,19 @@ def test_three_seeds_of_two_variants_are_the_t_test() -> None:
     assert (row["verdict"], row["better"]) == ("earns", "lower")
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_the_effect_at_the_full_model_is_given_where_runs_tell_it(known: bool) -> None:
+    off = [(), ("att",), ("concat",)] if known else [("att", "concat"), ("att",), ("concat",)]
+    runs = {".".join(["sa2h", *names]): without(*names) for names in off}
+    design = find_design(runs, tuple(FULL))
+    assert design is not None
+    rows = [(label, seed, "", 9.0 + seed) for label in runs for seed in range(3)]
+    means = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["att"])
+    row = verdict_table(means.join(design.cells, on="variant"), design).set_index("component").loc["att"]
+    assert pd.notna(row["effect"])
+    assert row[["full_effect", "full_lower", "full_upper"]].notna().tolist() == 3 * [known]
+
+
 def test_the_ends_of_an_improvement_tell_the_verdict(cells: pd.DataFrame, design: Design) -> None:
     said = []
     for seed in range(40):

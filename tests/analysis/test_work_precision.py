@@ -55,3 +55,5 @@ def test_pareto_front_against_brute_force() -> None:
 
 def test_a_point_without_an_error_is_not_on_the_front() -> None:
     assert pareto_front(np.array([1.0, 2.0, 3.0]), np.array([np.nan, 5.0, 4.0])).tolist() == [1, 2]
+    ms, unknown = np.array([10.0, 20.0, 30.0]), np.array([10.0, np.nan, 30.0])
+    assert pareto_front(ms, np.array([1.0, 2.0, 3.0]), unknown, unknown).tolist() == [0]

@@ -137,6 +137,7 @@ def test_interval_by_groups_is_wider_when_rows_of_a_group_are_alike():
     grouped = bootstrap_interval(frechet_distance, x, y, groups)
     assert grouped == bootstrap_interval(frechet_distance, x, y, groups), "same seed, same interval"
     assert np.ptp(grouped) > 1.5 * np.ptp(free)
+    assert bootstrap_interval(frechet_distance, x, y, np.zeros(80, int)) == (-np.inf, np.inf), "one group tells none"
 
 
 @pytest.mark.parametrize("distance", [frechet_distance, kernel_distance])

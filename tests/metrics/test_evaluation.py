@@ -57,6 +57,8 @@ def test_arrays_of_another_type_are_refused(make_frame):
     for name, array in (wrong | {"draws": np.stack([frame.image] * 2) / 255}).items():
         with pytest.raises(ValueError, match=f"{name} must be (bool|uint8|integers), got (uint8|float64)"):
             frame.pair(frame.image, **{name: array})
+    with pytest.raises(ValueError, match="attenuation must be finite"):
+        frame.pair(frame.image, attenuation=np.where(frame.mask, np.nan, 1.0))
     with pytest.raises(ValueError, match="draws must begin with the prediction"):
         frame.pair(frame.image, draws=np.stack([255 - frame.image, frame.image]))
 

@@ -38,6 +38,10 @@ class ReadsNumbers(Sum):
         super().__init__(channels)
         self.rates = [rate.item() for rate in torch.linspace(0, 0.1, 4)]
 
+class DrawsForItself(Sum):
+    def forward(self, maps):
+        return super().forward(maps + torch.randn_like(maps))
+
 class NoChannels(nn.Module):
     def __init__(self):
         super().__init__()
@@ -87,6 +91,7 @@ def test_its_sizes() -> None:
     ("name", "message"),
     [
         ("BlackOnceTrained", "returns numbers that are not finite"),
+        ("DrawsForItself", r"renders the same maps differently each time.*allowed is noise that it reads"),
         ("Fails", "two images of 32 x 32 px fail: RuntimeError: no such thing"),
         ("Fixed", "has no parameter to train"),
         ("NoChannels", r"networks_of_a_user.NoChannels\(2\) fails: TypeError"),

@@ -1,5 +1,6 @@
 """Frechet and kernel distances between two sets of features, and their bootstrap intervals over probe sites."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -139,7 +140,7 @@ def bootstrap_interval(
 
     Resampling with replacement repeats samples, which biases both distances upwards, as small n does. The spread of
     the resampled values is therefore centred on the estimate. The interval is for the value expected at this n.
-    A ValueError as of `distance`.
+    Of one group alone it is infinite. A ValueError as of `distance`.
 
     Parameters
     ----------
@@ -154,6 +155,8 @@ def bootstrap_interval(
     X, Y = check_features(X, Y)
     owner = np.unique(groups, return_inverse=True)[1]
     count = int(owner.max()) + 1
+    if count < 2:
+        return -math.inf, math.inf
     known: dict[object, Callable[..., OfDraw]] = {frechet_distance: frechet_of_draw, kernel_distance: kernel_of_draw}
     of_draw = (
         known[distance](X, Y, owner, owner)

@@ -126,6 +126,8 @@ class Pair:
                     raise ValueError(f"{name} must be {shape}, got {array.shape}")
                 if array.dtype.kind not in (kinds := _KINDS.get(name, "fiu")):
                     raise ValueError(f"{name} must be {_WORDS[kinds]}, got {array.dtype}")
+                if not np.isfinite(array).all():
+                    raise ValueError(f"{name} must be finite")
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)

@@ -252,7 +252,13 @@ def check_custom(spec: GeneratorSpec, side: int) -> None:
         wrong = _wrong_with(image)
         if not wrong:
             image.mean().backward()
-            wrong = _wrong_with(network.eval()(maps, [], []))  # as it renders once it is trained
+            once, again = (network.eval()(maps, [], []) for _ in range(2))  # as it renders once it is trained
+            wrong = _wrong_with(once)
+            if not wrong and not torch.allclose(once, again, atol=0.01):
+                raise ValueError(
+                    f"target={spec.target}: renders the same maps differently each time, so that no seed decides an "
+                    "image; allowed is noise that it reads, as its last channel (model.noise=input)"
+                )
     except ValueError:
         raise
     except (Exception, SystemExit) as error:  # whatever the user's class does

@@ -76,14 +76,17 @@ def verdict_table(
         One row a component, columns component, metric, effect (mean of the runs with it minus mean of those without it,
         in units of the metric), lower, upper, band, runs_a (with it), runs_b (without it), p_holm (that the effect is
         zero), verdict; then better (which values of the metric are better), p_band_holm (that the improvement reaches
-        the band), dof (of the error), full_effect, full_lower, full_upper (the effect where all other
-        components are on, from the same model), least and most (what the rule compares with zero and with the band: the
-        ends of two tests with Holm's correction, not of an interval), ms_per_frame and parameters (what the component
-        adds), and why it is undecided. What the runs cannot tell is missing.
+        the band), dof (of the error), full_effect, full_lower, full_upper (the effect with all other components on, from
+        the same model, if runs can tell it), least and most (what the rule compares with zero and with the band:
+        the ends of two tests with Holm's correction, not of an interval), ms_per_frame and parameters (what the
+        component adds), and why it is undecided. What the runs cannot tell is missing.
     """
     components = with_undeclared(components, [] if design is None else design.factors)
     model_by = cache(lambda metric: _fitted(metric, means, design, components))
-    rows = [_row(component, model_by, design, spreads or {}) for component in components]
+    has = pd.DataFrame()  # a row a cell: which components it has
+    if design is not None:
+        has = pd.DataFrame({f: design.cells[f] == on for f, on in _levels_on(design, components).items()})
+    rows = [_row(component, model_by, design, has, spreads or {}) for component in components]
     table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "error", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     for name in ("p", "p_band"):
@@ -154,7 +157,11 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
 
 
 def _row(
-    component: Component, model_by: Callable[[str], LinearModel], design: Design | None, spreads: Mapping[str, float]
+    component: Component,
+    model_by: Callable[[str], LinearModel],
+    design: Design | None,
+    has: pd.DataFrame,
+    spreads: Mapping[str, float],
 ) -> dict[str, object]:
     """What `verdict_table` and the rule need of one component, by column."""
     row: dict[str, object] = {"component": component.name, "metric": component.metric, "band": component.band}
@@ -169,6 +176,10 @@ def _row(
                 added = model_by(cost).contrast(weights)[0]
                 row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
     averaged, at_full = (_of_component(component, model, full=full) for full in (False, True))
+    others = [key for key in has if key != component.key]
+    of_full = has.loc[has[others].all(axis=1), component.key]  # whether it is on, where all others are
+    if of_full.nunique() < 2 and not all({(component.key, k), (k, component.key)} & {*model.terms} for k in others):
+        at_full = at_full * np.nan  # these runs cannot tell it
     effect, error = model.contrast(averaged)
     off, on = (int(n) for n in model.runs[model.terms.index((component.key,))])
     row |= {"effect": effect, "full_effect": model.contrast(at_full)[0], "runs_a": on, "runs_b": off, "dof": model.dof}
@@ -236,12 +247,17 @@ def _runs_by(metric: str, means: pd.DataFrame, design: Design, components: Seque
     runs = means[means["metric"] == metric]
     if metric_of(metric).better is Direction.zero:
         runs = runs.assign(value=runs["value"].abs())
-    switched = {component.key: component for component in with_undeclared(components, design.factors)}
-    for factor in design.factors:
-        levels = list(design.cells[factor].cat.categories)
-        on = level_with(switched[factor], levels)
-        runs = runs.assign(**{factor: runs[factor].cat.set_categories([*(set(levels) - {on}), on])})
+    for factor, on in _levels_on(design, components).items():
+        runs = runs.assign(
+            **{factor: runs[factor].cat.set_categories([*(set(runs[factor].cat.categories) - {on}), on])}
+        )
     return runs
+
+
+def _levels_on(design: Design, components: Sequence[Component]) -> dict[str, object]:
+    """By factor of a design, the level that has the component."""
+    switched = {component.key: component for component in with_undeclared(components, design.factors)}
+    return {f: level_with(switched[f], list(design.cells[f].cat.categories)) for f in design.factors}
 
 
 def _of_component(component: Component, model: LinearModel, full: bool = False) -> np.ndarray:

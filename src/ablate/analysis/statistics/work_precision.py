@@ -31,7 +31,7 @@ def pareto_front(
     All are (n,) float. `lower` and `upper` are the spread of the times: another point takes no more time unless its
     lower bound is above this one's upper. Returns indices by increasing time, (k,) int; of equal points the first.
     """
-    lower, upper = ms if lower is None else lower, ms if upper is None else upper
+    lower, upper = (ms if ends is None else np.where(np.isfinite(ends), ends, ms) for ends in (lower, upper))
     order = np.lexsort((error, ms))
     place = np.argsort(order)
     better = (error[None] < error[:, None]) & (lower[None] <= upper[:, None])
