@@ -76,7 +76,7 @@ def verdict_table(
         One row a component, columns component, metric, effect (mean of the runs with it minus mean of those without it,
         in units of the metric), lower, upper, band, runs_a (with it), runs_b (without it), p_holm (that the effect is
         zero), verdict; then better (which values of the metric are better), p_band_holm (that the improvement reaches
-        the band), dof (of the error), full_effect, full_lower, full_upper (the effect with all other components on, from
+        the band), dof (of the error), full_effect, full_lower, full_upper (the effect with all others on, from
         the same model, if runs can tell it), least and most (what the rule compares with zero and with the band:
         the ends of two tests with Holm's correction, not of an interval), ms_per_frame and parameters (what the
         component adds), and why it is undecided. What the runs cannot tell is missing.
