@@ -47,7 +47,7 @@ def composed(overrides: Sequence[str]) -> DictConfig:
             folder = str(conf_folder())
             stack.enter_context(initialize_config_dir(folder, version_base=VERSION_BASE, job_name="ablate"))
         search_path = GlobalHydra.instance().config_loader().get_search_path().get_path()
-        alone = sum(each.path.startswith("file://") for each in search_path) == 1  # without --config-dir
+        alone = not any(each.path.startswith("file://") for each in search_path)  # without --config-dir
         files = {path: path.stat().st_mtime_ns for path in sorted(conf_folder().rglob("*.yaml"))}
         groups = {path.parent.name for path in files}
         words = [(override, _kind(override, groups)) for override in parsed(overrides)]
