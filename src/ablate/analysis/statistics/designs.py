@@ -167,12 +167,9 @@ def run_means(
 def effects_table(means: pd.DataFrame, design: Design) -> pd.DataFrame:
     """Effects of every component and two-way interaction on every metric but costs, from what `run_means` gives.
 
-    Returns
-    -------
-    DataFrame
-        Columns metric and those of `factorial_effects`; p_holm, corrected over effects and metrics, and q, the share of
-        false claims among effects with a q as small (Benjamini and Hochberg 1995); the levels `from` and `to` of a
-        component's effect. A metric that the runs do not suffice for is left out.
+    Columns are metric and those of `factorial_effects`; p_holm, corrected over effects and metrics, and q, the share of
+    false claims among effects with a q as small (Benjamini and Hochberg 1995); the levels `from` and `to` of a
+    component's effect. A metric that the runs do not suffice for is left out.
     """
     tables = []
     for metric in judged_metrics(list(means["metric"])):

@@ -95,11 +95,8 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
 def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFrame:
     """Effects of two-level factors with intervals, from `fit_effects`, which says what the arguments are.
 
-    Returns
-    -------
-    DataFrame
-        Columns effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
-        freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
+    Columns are effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
+    freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
     """
     model = fit_effects(runs, factors)
     rows = []

@@ -202,11 +202,8 @@ def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples:
     its own. Metrics without one finite pair are left out. `per_image` is as for `comparison_table`; `resamples` are
     those of the bootstrap over sites.
 
-    Returns
-    -------
-    DataFrame
-        Columns variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
-        p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
+    Columns are variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
+    p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
     """
     rows = []
     for metric in ordered_metrics(list(per_image["metric"])):
