@@ -14,7 +14,8 @@ DEPTH = "model.depth"
 class Component:
     """One switch of a study.
 
-    A component without a primary metric and a band gets effects and interactions, but no verdict.
+    A component without a primary metric and a band gets effects and interactions, but no verdict. A name that cannot be
+    part of a file name, an empty key, and a band that is not a finite number above 0 are a ValueError.
 
     Attributes
     ----------
@@ -33,11 +34,6 @@ class Component:
         Name of the primary metric. It is named before the runs are scored.
     band : float, optional
         The improvement that is too small to matter, in units of the metric. It is fixed before the runs are scored.
-
-    Raises
-    ------
-    ValueError
-        When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
     """
 
     name: str
