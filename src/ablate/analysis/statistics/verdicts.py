@@ -169,8 +169,8 @@ def _row(
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
-    row["lower"], row["upper"] = model.interval(averaged)[1:]
-    row["full_lower"], row["full_upper"] = model.interval(at_full)[1:]
+    row["lower"], row["upper"] = model.interval(averaged)
+    row["full_lower"], row["full_upper"] = model.interval(at_full)
     improvement = _sign(component) * effect
     below = float(stats.t.cdf((improvement - band) / error, model.dof)) if error > 0 else float(improvement >= band)
     return row | {"improvement": improvement, "error": error, "p": model.p_value(averaged), "p_band": below}
