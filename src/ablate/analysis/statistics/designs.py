@@ -22,13 +22,9 @@ _OF_IMAGES = ("scene.", "probe.", "simulator.", "dataset.")
 class Design:
     """Runs that differ in two-level components and in nothing else.
 
-    Attributes
-    ----------
-    cells : DataFrame
-        One row a label, indexed by it: a categorical column for each component that varies, named by its dotted
-        configuration key, the reference's level first.
-    reading : str
-        What its effects mean, and what they cannot be told from.
+    `cells` has a row for each label, indexed by it, and a categorical column for each component that varies, named by
+    its dotted configuration key, the reference's level first. `reading` says what the effects of the design mean, and
+    what they cannot be told from.
     """
 
     cells: pd.DataFrame
