@@ -79,6 +79,13 @@ def test_values_given_to_a_copy_are_what_hydra_composes(words: list[str]) -> Non
     assert made == expected
 
 
+def test_jobs_that_differ_in_values_are_composed_from_what_was_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[tuple[str, ...]] = []
+    monkeypatch.setattr("ablate.jobs.compose.compose", lambda *a, **k: read.append(a) or compose(*a, **k))
+    assert [job_of(["preset=tiny", f"seed={seed}"]).settings.seed for seed in (1, 2, 3)] == [1, 2, 3]
+    assert len(read) <= 1
+
+
 def test_a_file_of_conf_that_is_edited_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = shutil.copytree(conf_folder(), tmp_path / "conf")
     monkeypatch.setattr("ablate.jobs.compose.conf_folder", lambda: folder)
