@@ -12,32 +12,20 @@ DEPTH = "model.depth"
 
 @dataclass(frozen=True)
 class Component:
-    """One switch of a study.
+    """One switch of a study; the variant without it is `sa2h-<name>`.
 
-    A component without a primary metric and a band gets effects and interactions, but no verdict.
+    `key` is the dotted configuration key that it switches, as `model.attenuation`, `training.reconstruction` or
+    `encoding`. `on` is the level of the full model, or several of which it has one, and `off` the level that stands for
+    "without the component". Where they are not declared, the level of the reference run is the one with the component.
 
-    Attributes
-    ----------
-    name : str
-        The variant without this component is `sa2h-<name>`.
-    key : str
-        The dotted configuration key that it switches, as `model.attenuation`, `training.reconstruction` or `encoding`.
-    on, off : optional
-        The level of the full model, or several of which it has one, and the level that stands for "without the
-        component". Where they are not declared, the level of the reference run is the one with the component.
-    label : str
-        What figures and reports call it; the last part of the key when left out.
-    purpose : str
-        One sentence on what it is for.
-    metric : str, optional
-        Name of the primary metric. It is named before the runs are scored.
-    band : float, optional
-        The improvement that is too small to matter, in units of the metric. It is fixed before the runs are scored.
+    `label` is what figures and reports call it, the last part of the key when left out; `purpose` is one sentence on
+    what it is for.
 
-    Raises
-    ------
-    ValueError
-        When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
+    `metric` is the name of the primary metric, and `band` the improvement that is too small to matter, in its units.
+    Both are fixed before the runs are scored. Without them a component gets effects and interactions, but no verdict.
+
+    A name that cannot be part of a file name, an empty key, and a band that is not a finite number above 0 are a
+    ValueError.
     """
 
     name: str

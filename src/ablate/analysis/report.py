@@ -131,23 +131,14 @@ def write_report(
 ) -> Path:
     """Write the report to `path`; it needs no other file and no network.
 
-    Parameters
-    ----------
-    title : str
-        Heading, usually the study's name.
-    per_image, table, paired, claims, verdicts : DataFrame
-        As for `comparison_table`; and what that, `paired_table`, `seed_claims` and `verdict_table` give.
-    blocks : DataFrame, optional
-        As for `cautions`.
-    figures : sequence of (Path, str)
-        PNG files and their captions, in order; they are inlined. That of the verdicts, `verdicts.png`, comes first.
-    left_out, notes : sequence of str
-        What the simulator or the networks did not compute, and why; what else a reader must know before the numbers:
-        runs left aside, images that are missing.
-    provenance : mapping, optional
-        Commit, data hash, hardware and the like, shown as a list.
-    components : sequence of Component
-        Those of `verdicts`, for their labels.
+    `title` is its heading, usually the study's name. `per_image` and `blocks` are as for `cautions`; the other tables
+    are what `comparison_table`, `paired_table`, `seed_claims` and `verdict_table` give. `components` are those of the
+    verdicts, for their labels.
+
+    `figures` are PNG files and their captions, in order, and are inlined. That of the verdicts, `verdicts.png`, comes
+    first. `left_out` says what the simulator or the networks did not compute, and why; `notes` say what else a reader
+    must know before the numbers: runs left aside, images that are missing. `provenance` (commit, data hash, hardware
+    and the like) is shown as a list.
     """
     variants, metrics, cells = cell_texts(table)
     unfolded = [metric for metric in metrics if metric in shown_in(Shown.report)]

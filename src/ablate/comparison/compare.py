@@ -210,7 +210,7 @@ def _describe(
     for one in sorted(runs, key=lambda r: r.seed):
         if one.name in ids:
             first.setdefault(one.label, ids[one.name])
-    report, compared = tracking.pages(run.store, run.run_id, "report.html", list(first.values()))
+    report, compared = tracking.pages(run.store, run.run_id, list(first.values()))
     links = f"[The report]({report}) · [the variants side by side]({compared})"
     rows = analysis.to_markdown(table).splitlines()  # MLflow's pages show no space between the columns of a table
     spaced = [row if set(row) <= set("|-: ") else row.replace(" |", "\u00a0\u00a0|") for row in rows]

@@ -26,13 +26,8 @@ ANSWER = ("runs/full_model", "docs/results/full_model")  # where `make answer` l
 class Study:
     """A study on disk with at least one run that can be used; tables are made when they are first asked for.
 
-    Attributes
-    ----------
-    folder : Path
-    usable : UsableRuns
-        The runs as they lie on disk, `usable.runs`, and what was left aside and why, `usable.notes`.
-    reference : str
-        The variant that the others are compared with.
+    `usable` has the runs as they lie on disk, and what was left aside and why. The other variants are compared with
+    `reference`.
     """
 
     folder: Path

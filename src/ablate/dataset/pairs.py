@@ -62,22 +62,12 @@ class Pairs:
     `folder` holds `pairs.zarr`, `about.json` (what the set was made from), pictures and lock files. There are `shard`
     frames in a shard; `tissues` are the names behind the values 1, 2, ... of `segmentation`.
 
-    Attributes
-    ----------
-    poses : (n, 4, 4) float64
-        Probe to world, mm.
-    sites : (n,) int32
-    split : (n,) uint8 of `Part`
-    shape : (H, W)
-        Of the images.
-    space : Space
-        Of the stored arrays.
-    probe : Probe or None
-        None where the geometry of the fan is not known; then there are images alone.
-    beam_shape : (rows, scanlines)
-        Of frames in beam space.
-    tgc
-        Time gain that the frames were simulated with, for `compensated`; None where it is not known.
+    Each frame has a pose in `poses`, (n, 4, 4) float64, probe to world, mm, a site in `sites`, (n,) int32, and a `Part`
+    in `split`, (n,) uint8. Stored arrays are in `space`. Images are of `shape`, (H, W), and frames in beam space of
+    `beam_shape`, (rows, scanlines).
+
+    `probe` is None where the geometry of the fan is not known; then there are images alone. `tgc` is the time gain that
+    the frames were simulated with, for `compensated`, and None where it is not known.
     """
 
     folder: Path

@@ -1,7 +1,4 @@
-"""One data set on disk: its pairs, what it was made from, the digest of its pixels, and how it comes to be there.
-
-What needs a scene, and with it Embree and numba, is imported where a scene is used.
-"""
+"""One data set on disk: its pairs, what it was made from, the digest of its pixels, and how it comes to be there."""
 
 from __future__ import annotations
 
@@ -117,7 +114,7 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
         chosen = {name: plain(settings.dataset)[name] for name in drawn}
         probe = checked.probe or settings.probe  # it tells depths
         about = {"scene": scene, "probe": plain(probe), "dataset": chosen}
-    else:
+    else:  # only here: what needs a scene needs Embree and numba
         from ablate.runs.simulated import about_simulated
 
         about = about_simulated(settings)

@@ -11,7 +11,7 @@ from ablate.runs.job import Job, differences, not_shared
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
-from ablate.storage import write_json
+from ablate.storage import known_json, write_json
 from ablate.user_code import load, source_digest
 
 
@@ -81,8 +81,14 @@ def forget_scores(jobs: Iterable[Job]) -> None:
         with refusing("evaluation.again=true: "):
             read_checkpoint(run.checkpoint)
     for run in runs:
-        write_json(run.folder / "result.json", {**run.result, "metrics_version": 0})
+        unfinish(run)
         shutil.rmtree(run.data_set.folder / "resimulation", ignore_errors=True)
+
+
+def unfinish(run: Run, **changes: str) -> None:
+    """Take back that a run is finished, until its files and what is said of them are new."""
+    if result := known_json(path := run.folder / "result.json"):
+        write_json(path, {**result, "metrics_version": 0, **changes})
 
 
 def names_of(asked: str | Iterable[str]) -> set[str]:

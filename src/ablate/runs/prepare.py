@@ -1,7 +1,4 @@
-"""The data set of a job: made where something of it is missing; its frames and time gain.
-
-What needs a scene, and with it Embree and numba, is imported where a scene is used.
-"""
+"""The data set of a job: made where something of it is missing; its frames and time gain."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
             of_frames.unlink(missing_ok=True)  # they are made again, perhaps on another kind of processor
         if settings.scene.kind is SceneKind.pairs:
             make = import_data
-        else:
+        else:  # only here: what needs a scene needs Embree and numba
             from ablate.runs.simulated import simulate_data as make
         make(settings, data.folder, wanted, job.semantic["data"])
         data = job.data

@@ -22,13 +22,13 @@ from ablate.metrics.features import CENTRE
 from ablate.networks import Generator, conditions, draws_noise
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters, precision_of
-from ablate.runs.place import claim_place, finished_run, names_of, sources_of, with_earlier_metrics
+from ablate.runs.place import claim_place, finished_run, names_of, sources_of, unfinish, with_earlier_metrics
 from ablate.runs.prepare import prepare_data
 from ablate.runs.run import Run, State
 from ablate.runs.store_copy import copying, log_samples
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, Provenance, StudySettings, Verbosity
-from ablate.storage import digest, known_json, remove_partial, write_json, write_text, written_whole
+from ablate.storage import digest, remove_partial, write_json, write_text, written_whole
 from ablate.threads import torch_threads
 from ablate.tracking import LocalLog
 from ablate.training import Validation, chosen_device, generated_images, read_checkpoint, train
@@ -69,7 +69,7 @@ def _run(job: Job) -> None:
             remove_partial(file)
         there = run.result if run.result.get("hash") == job.hash and run.state is not State.unusable else {}
         if not run.checkpoint.exists():  # perhaps removed, to train again: its result tells nothing of that
-            _unfinish(run, hash="")
+            unfinish(run, hash="")
         scalars, notes = _train_and_score(job, run, data, log)
         first_scored = _now()
         before = there if scalars["train/resumed_at"] >= job.settings.training.steps else {}
@@ -93,12 +93,6 @@ def _run(job: Job) -> None:
         }
         write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
         _LOG.info("finished")
-
-
-def _unfinish(run: Run, **changes: str) -> None:
-    """Take back that a run is finished, until its files and what is said of them are new."""
-    if result := known_json(path := run.folder / "result.json"):
-        write_json(path, {**result, "metrics_version": 0, **changes})
 
 
 @contextmanager
@@ -202,7 +196,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     render = generated_images(trained.generator, pairs, values, s.training.precision)
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
     scalars = {**costs, **scores.scalars, **parameters(s, spec)}
-    _unfinish(run)
+    unfinish(run)
     with written_whole(run.scores_file) as partial:
         scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
     shown = dataset.equally_spaced(pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant

@@ -189,11 +189,11 @@ def _run_of(client: MlflowClient, run_id: str | None) -> Run | None:
         raise
 
 
-def pages(store: Store, run_id: str, path: str, run_ids: Sequence[str]) -> tuple[str, str]:
-    """Links, relative to MLflow's address, to the viewer of a run's artifact, and to the comparison of some runs."""
+def pages(store: Store, run_id: str, run_ids: Sequence[str]) -> tuple[str, str]:
+    """Links, relative to MLflow's address, to the report of a study's run, and to the comparison of some runs."""
     runs, experiments = (quote(json.dumps(list(ids))) for ids in (run_ids, [store.experiment_id]))
-    viewer = f"#/experiments/{store.experiment_id}/runs/{run_id}/artifacts/{quote(path)}"
-    return viewer, f"#/compare-runs?runs={runs}&experiments={experiments}"
+    report = f"#/experiments/{store.experiment_id}/runs/{run_id}/artifacts/report.html"
+    return report, f"#/compare-runs?runs={runs}&experiments={experiments}"
 
 
 def default_uri(runs: Path) -> str:

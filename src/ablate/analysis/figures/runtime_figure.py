@@ -55,18 +55,11 @@ def error_vs_runtime(
 
     The files are a PNG and a PDF at `stem`, a path without suffix. ValueError if no finite point has a positive time.
 
-    Parameters
-    ----------
-    points : DataFrame
-        Columns series, setting, ms, metric, error (as `precision.csv`). The keys of `SIMULATOR` are the simulator's
-        series, all others are trained runs. Columns lower and upper, where they are, are the spread of the times, and
-        a difference within it puts no point on the front.
-    floors : mapping of str to float, optional
-        Re-simulation's value by metric.
-    hardware : str
-        Device that the times were measured on; it is written on the figure.
-    components : sequence of Component
-        Changes of these are written in short.
+    `points` has columns series, setting, ms, metric, error (as `precision.csv`). The keys of `SIMULATOR` are the
+    simulator's series, all others are trained runs. Columns lower and upper, where they are, are the spread of the
+    times, and a difference within it puts no point on the front. `floors` has the re-simulation's value by metric.
+    `hardware`, the device that the times were measured on, is written on the figure. Changes of `components` are
+    written in short.
     """
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
     metrics = list(dict.fromkeys(points["metric"]))

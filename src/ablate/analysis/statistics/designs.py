@@ -23,13 +23,9 @@ _OF_IMAGES = ("scene.", "probe.", "simulator.", "dataset.")
 class Design:
     """Runs that differ in two-level components and in nothing else.
 
-    Attributes
-    ----------
-    cells : DataFrame
-        One row a label, indexed by it: a categorical column for each component that varies, named by its dotted
-        configuration key, the reference's level first.
-    reading : str
-        What its effects mean, and what they cannot be told from.
+    `cells` has a row for each label, indexed by it, and a categorical column for each component that varies, named by
+    its dotted configuration key, the reference's level first. `reading` says what the effects of the design mean, and
+    what they cannot be told from.
     """
 
     cells: pd.DataFrame
@@ -174,12 +170,9 @@ def run_means(
 def effects_table(means: pd.DataFrame, design: Design) -> pd.DataFrame:
     """Effects of every component and two-way interaction on every metric but costs, from what `run_means` gives.
 
-    Returns
-    -------
-    DataFrame
-        Columns metric and those of `factorial_effects`; p_holm, corrected over effects and metrics, and q, the share of
-        false claims among effects with a q as small (Benjamini and Hochberg 1995); the levels `from` and `to` of a
-        component's effect. A metric that the runs do not suffice for is left out.
+    Columns are metric and those of `factorial_effects`; p_holm, corrected over effects and metrics, and q, the share of
+    false claims among effects with a q as small (Benjamini and Hochberg 1995); the levels `from` and `to` of a
+    component's effect. A metric that the runs do not suffice for is left out.
     """
     tables = []
     for metric in judged_metrics(list(means["metric"])):

@@ -35,11 +35,11 @@ class LinearModel:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
         return float(weights @ self.effects), float(np.sqrt(weights @ self.covariance @ weights))
 
-    def interval(self, weights: np.ndarray) -> tuple[float, float, float]:
-        """A weighted sum of the effects with the ends of its 95 % interval."""
+    def interval(self, weights: np.ndarray) -> tuple[float, float]:
+        """The ends of the 95 % interval of a weighted sum of the effects."""
         effect, error = self.contrast(weights)
         reach = float(stats.t.ppf((1 + LEVEL) / 2, self.dof)) * error
-        return effect, effect - reach, effect + reach
+        return effect - reach, effect + reach
 
     def p_value(self, weights: np.ndarray) -> float:
         """The two-sided p-value of Student's t-test that a weighted sum of the effects is zero."""
@@ -95,11 +95,8 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
 def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFrame:
     """Effects of two-level factors with intervals, from `fit_effects`, which says what the arguments are.
 
-    Returns
-    -------
-    DataFrame
-        Columns effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
-        freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
+    Columns are effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
+    freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
     """
     model = fit_effects(runs, factors)
     rows = []
@@ -107,7 +104,7 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
         one = np.eye(len(model.terms))[k]
         known: tuple[float | None, ...] = (None, None, None)
         if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
-            known = (*model.interval(one)[1:], model.p_value(one))
+            known = (*model.interval(one), model.p_value(one))
         rows.append((":".join(term), model.effects[k], *known, model.dof, model.aliases[term]))
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
 

@@ -107,7 +107,8 @@ def paired_difference(
     """Compare two networks on the same frames: do *these two* differ?
 
     Percentiles of a bootstrap over few clusters are too narrow; they are taken further out, by what Student's t asks
-    for at that number of clusters (Hesterberg 2015, "expanded percentiles").
+    for at that number of clusters (Hesterberg 2015, "expanded percentiles"). Lengths that differ, NaN, and values
+    without a finite pair are a ValueError.
 
     Parameters
     ----------
@@ -118,11 +119,6 @@ def paired_difference(
         its own cluster.
     resamples : int
         Of the bootstrap, whose interval aims at a coverage of 95 %.
-
-    Raises
-    ------
-    ValueError
-        When lengths differ, a value is NaN, or no pair is finite.
     """
     values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     labels = np.arange(values.size) if clusters is None else np.asarray(clusters)
@@ -202,11 +198,8 @@ def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples:
     its own. Metrics without one finite pair are left out. `per_image` is as for `comparison_table`; `resamples` are
     those of the bootstrap over sites.
 
-    Returns
-    -------
-    DataFrame
-        Columns variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
-        p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
+    Columns are variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
+    p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
     """
     rows = []
     for metric in ordered_metrics(list(per_image["metric"])):

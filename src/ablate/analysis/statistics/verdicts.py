@@ -111,12 +111,9 @@ def verdict_table(
 def improvements(means: pd.DataFrame, design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
     """What every run scored on the primary metric of every component, adjusted for other components and blocks.
 
-    Returns
-    -------
-    DataFrame
-        Columns component, variant, seed, on (whether the run has the component), improvement (over the mean of the runs
-        without it, in units of the metric): residuals of the model of main effects and blocks, plus the effect for the
-        runs that have the component. Where no run goes without two, those without another one tell nothing: left out.
+    Columns are component, variant, seed, on (whether the run has the component) and improvement (over the mean of the
+    runs without it, in units of the metric): residuals of the model of main effects and blocks, plus the effect for the
+    runs that have the component. Where no run goes without two, those without another one tell nothing: left out.
     """
     tables = []
     for component, model in _judged(means, design, components, interactions=False):
@@ -135,12 +132,9 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
 def interactions(means: pd.DataFrame, design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
     """How each other component changes the improvement that a component makes on its primary metric.
 
-    Returns
-    -------
-    DataFrame
-        Columns component, other, improvement (half of the improvement by `component` with `other` minus that without
-        it, in units of the metric of `component`) and q (the share of false claims among rows with a q as small, by
-        Benjamini and Hochberg 1995; NaN where `factorial_effects` gives no p).
+    Columns are component, other, improvement (half of the improvement by `component` with `other` minus that without
+    it, in units of the metric of `component`) and q (the share of false claims among rows with a q as small, by
+    Benjamini and Hochberg 1995; NaN where `factorial_effects` gives no p).
     """
     components = with_undeclared(components, [] if design is None else design.factors)
     named = {component.key: component.name for component in components}
@@ -186,8 +180,8 @@ def _row(
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
-    row["lower"], row["upper"] = model.interval(averaged)[1:]
-    row["full_lower"], row["full_upper"] = model.interval(at_full)[1:]
+    row["lower"], row["upper"] = model.interval(averaged)
+    row["full_lower"], row["full_upper"] = model.interval(at_full)
     improvement = _sign(component) * effect
     below = float(stats.t.cdf((improvement - band) / error, model.dof)) if error > 0 else float(improvement >= band)
     return row | {"improvement": improvement, "error": error, "p": model.p_value(averaged), "p_band": below}
