@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,14 @@ NETWORK = "network"  # the part of a frame's time that is not one of its maps
 _KEPT = {"machine": str, "network": str, "round": int, "part": str, "ms": float}
 _FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
 Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
+
+
+class Read(NamedTuple):
+    """What a network reads of a frame; networks that read the same share its maps."""
+
+    kind: str  # of pairs: the digest of their recipe
+    names: tuple[str, ...]
+    space: Space
 
 
 def network_of(semantic: Mapping[str, Any]) -> str:
@@ -126,7 +134,7 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     in_order = sorted(runs.items(), key=lambda named: named[1].data_set.exists)
     chosen = {kinds[network]: run for network, run in in_order}  # the last counts
     data = {kind: run.data_set for kind, run in chosen.items()}
-    reads, render = {}, {}  # by network: what its maps are known by, and what renders with them
+    reads, render = {}, {}  # by network
     for network, run in runs.items():
         kind, s = kinds[network], settings[network]
         values = dataset.label_values(data[kind].tissues, s.encoding, s.label_seed)
@@ -136,9 +144,9 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
             generator = Generator(replace(s.model, labels=values.shape[1])).eval()
         precision = TrainingPrecision[run.spec["semantic"]["training"]["precision"]]
         render[network] = generated_images(generator.to(device), data[kind].pairs, values, precision)
-        reads[network] = kind, conditions(generator.spec), generator.spec.space
+        reads[network] = Read(kind, conditions(generator.spec), generator.spec.space)
     make = {kind: _map_maker(chosen[kind].settings, of_kind) for kind, of_kind in data.items()}
-    read = list(dict.fromkeys(reads.values()))
+    different = list(dict.fromkeys(reads.values()))
     rounds = max(next(iter(settings.values())).evaluation.timed_frames, _FEWEST_ROUNDS)
     frames = {kind: equally_spaced(each.pairs.frames(Part.test), rounds) for kind, each in data.items()}
     rows: list[tuple[str, int, str, float]] = []
@@ -146,13 +154,16 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", leave=False, disable=None) as bar:
         for number in range(rounds + 1):
             shown = {kind: int(of_kind[number % len(of_kind)]) for kind, of_kind in frames.items()}
-            turn = number * len(read)
-            made = {of: make[of[0]](shown[of[0]], turn + k, *of[1:]) for k, of in enumerate(read)}
+            made = {
+                read: make[read.kind](shown[read.kind], number * len(different) + k, read.names, read.space)
+                for k, read in enumerate(different)
+            }
             for network in turns:
-                (kind, names, _), (maps, map_ms) = reads[network], made[reads[network]]
-                given = {name: maps[name][None] for name in names}
+                read = reads[network]
+                maps, map_ms = made[read]
+                given = {name: maps[name][None] for name in read.names}
                 start = time.perf_counter()
-                render[network](np.array([shown[kind]]), number, given)  # waits for a GPU
+                render[network](np.array([shown[read.kind]]), number, given)  # waits for a GPU
                 parts = {name: map_ms[name] for name in given if name in map_ms}
                 parts[NETWORK] = 1e3 * (time.perf_counter() - start)
                 rows += [(network, number, name, ms) for name, ms in parts.items()]
