@@ -41,15 +41,7 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
     blocks those on pairs that differ from them only in the anatomy or in components. Runs on pairs of one recipe with
     other pixels are a ConfigurationError.
     """
-    runs: list[Run] = []
-    aside: dict[str, list[str]] = {}
-    for run in runs_of(study_dir):
-        if run.state is State.finished and run.name == f"{run.label}/seed{run.seed}":
-            runs.append(run)
-        else:
-            why = run.why if run.state is not State.finished else "in a folder that was copied or renamed"
-            reason = "not finished" if why in ("", "not finished") else f"left aside, {why}"
-            aside.setdefault(reason, []).append(run.name)
+    runs, aside = _finished(study_dir)
     check_alike(runs)
     blocks: list[Run] = []
     if runs:
@@ -64,21 +56,47 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         part = f"{'takes' if len(blocks) == 1 else 'take'} part in effects and verdicts only"
         aside[f"left aside, made from other pairs than {chosen}"] = [run.name for run in others if run not in blocks]
         aside[f"on another anatomy or data set than {chosen} {part}"] = [run.name for run in blocks]
+    counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
+    notes = [f"{what}: {listed(names)}." for what, names in counted.items()]
+    notes += [*_told_by_some_labels(runs, reference), *_counted_twice([*runs, *blocks])]
+    return UsableRuns(tuple(runs), tuple(blocks), tuple(notes))
+
+
+def _finished(study_dir: Path) -> tuple[list[Run], dict[str, list[str]]]:
+    """The finished runs of a study, and the names of the others by what is said of them."""
+    runs: list[Run] = []
+    aside: dict[str, list[str]] = {}
+    for run in runs_of(study_dir):
+        if run.state is State.finished and run.name == f"{run.label}/seed{run.seed}":
+            runs.append(run)
+        else:
+            why = run.why if run.state is not State.finished else "in a folder that was copied or renamed"
+            reason = "not finished" if why in ("", "not finished") else f"left aside, {why}"
+            aside.setdefault(reason, []).append(run.name)
+    return runs, aside
+
+
+def _told_by_some_labels(runs: Sequence[Run], reference: str) -> list[str]:
+    """A sentence for each key that some labels tell, and others, which differ in it, do not."""
     swept = {key for run in runs for key in run.changed if key.startswith(("training.", "crops.", "evaluation."))}
-    told = []  # what some labels tell, and others, which differ in it, do not
+    told = []
     for key in sorted(swept - {"training.loss"}):
         untold = {run.label: levels_of(run.spec["semantic"]) for run in runs if key not in run.changed}
         levels = {label: of_run[key] for label, of_run in untold.items() if key in of_run}
         if levels and (len(set(levels.values())) > 1 or reference not in levels):
             told.append(f"{key} is {', '.join(f'{value} in {label}' for label, value in levels.items())}.")
+    return told
+
+
+def _counted_twice(runs: Sequence[Run]) -> list[str]:
+    """A sentence for each run that has the frames and the scores of another one, under two names of its pairs."""
     twins: dict[object, Run] = {}
-    for run in (*runs, *blocks):
+    told = []
+    for run in runs:
         scores = tuple(item for item in sorted(run.result["scalars"].items()) if item[0].startswith("test/"))
         if scores and (twin := twins.setdefault((run.result["pixels"], scores), run)).data != run.data:
             told.append(f"{twin.name} and {run.name} have the same frames and scores, and count twice: remove one.")
-    counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
-    notes = [f"{what}: {listed(names)}." for what, names in counted.items()]
-    return UsableRuns(tuple(runs), tuple(blocks), (*notes, *told))
+    return told
 
 
 def without_anatomy(data: Mapping[str, Any]) -> dict[str, Any]:
