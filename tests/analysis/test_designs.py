@@ -96,6 +96,22 @@ def test_an_interaction_of_cells_far_from_the_full_model_is_no_effect_of_other_c
     assert estimates == pytest.approx(expected, abs=1e-9)
 
 
+def test_a_component_that_only_cells_far_from_the_full_model_lack_is_not_judged():
+    unfinished = study_of([*LEAVE_ONE_OUT[:-1], NAMES])
+    assert find_design(unfinished, FACTORS).factors == list(FACTORS[:-1])
+    beside = find_design(study_of([*LEAVE_ONE_OUT[:-1], *ADD_ONE_IN[1:]]), FACTORS)
+    assert beside.name == "one change at a time around sa2h (5 cells)", "the full model stays the centre"
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_design_does_not_depend_on_the_order_of_its_runs(backwards):
+    components = study_of([*ADD_ONE_IN, ("attenuation", "concat", "depth")])
+    order = sorted(components, reverse=backwards)
+    design = find_design({label: components[label] for label in order}, FACTORS)
+    assert design.name == "7 of the 32 cells of 5 components"
+    assert "Left out of it: sa2h." in design.reading
+
+
 def test_without_the_reference_the_cell_in_the_middle_stands_in_for_it():
     bare = study_of(ADD_ONE_IN[1:])
     design = find_design(bare, FACTORS)

@@ -60,3 +60,15 @@ def test_rounding_and_what_lies_outside_the_fan_is_not_clipped() -> None:
         decode_grey_levels(torch.full((10, 100), -1.01), FAN)
     decode_grey_levels(torch.full((10, 100), -1.01), FAN)
     assert counts == [(0, 1000), (0, 0), (1000, 1000)]
+
+
+def test_a_generator_that_renders_the_same_differently_is_noted() -> None:
+    rng = np.random.default_rng(0)
+
+    def images_of(frames: np.ndarray, _draw: int) -> np.ndarray:
+        return rng.integers(0, 60, (len(frames), 10, 100)).astype(np.uint8)
+
+    (note,) = notes_of(images_of)
+    assert note.startswith("The generator renders frame 0 differently each time with the same noise, by up to 5")
+    rounded = iter(range(100))
+    assert notes_of(lambda frames, _: np.full((len(frames), 10, 100), 7 + next(rounded) % 2, np.uint8)) == ()

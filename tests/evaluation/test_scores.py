@@ -141,6 +141,15 @@ def test_tissue_is_all_but_fluid_and_gas() -> None:
     assert [name in fluid_or_gas for name in table] == [k + 1 not in labels for k in range(len(table))]
 
 
+def test_what_no_frame_has_a_value_for_is_named(runs: Path, data: Data) -> None:
+    chosen, settings = choose_metrics(("mae", "thin_contrast", "pchi2_tissue")), job(runs).settings
+    of_no_tissue = Scorer(data.pairs, (), settings.probe, settings.evaluation, chosen)
+    scores = of_no_tissue.score(Part.test, resimulation_images(data.pairs), draws_noise=False)
+    assert list(scores.scalars) == ["mae"]
+    (note,) = scores.notes
+    assert note.startswith("pchi2_tissue and thin_contrast: not computed, as no frame has what is needed (bone, ")
+
+
 def test_identical_pictures_are_counted_and_left_out_of_the_mean(runs: Path, data: Data) -> None:
     first = int(data.pairs.frames(Part.test)[0])
 

@@ -1,7 +1,6 @@
 """What may not be concluded from a study, and its report: one self-contained page of tables, statistics and figures."""
 
 import base64
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from ablate.storage import write_text
 
 FEW_SITES = 10  # below, intervals over sites are rough
 FEWEST_SITES = 6  # below, a signed-rank test over sites cannot reach 5 %
-#: The positive control: above so many times re-simulation's error, the reference does not render.
+#: The positive control: if the best network has more than so many times re-simulation's error, none renders.
 CONTROL, MOST_TIMES = "mae_smooth", 1.7
 MOST_NAMED = 6  # of a list; the rest are counted
 
@@ -53,14 +52,14 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
     judged = everything[everything["variant"] != RESIMULATION]
     frames = judged.groupby(["data", "variant", "seed"])["frame"].nunique()
     runs = zip(frames.index, frames, frames.groupby("data").transform("max"), strict=True)
-    errors = per_image[per_image["metric"] == CONTROL].groupby("variant")["value"].mean()
+    errors = per_image[per_image["metric"] == CONTROL].groupby("variant")["value"].mean().replace(0.0, np.nan)
     text = _TEMPLATES.get_template("cautions.jinja").render(
         reference=reference,
         variants=variants,
         few=[f"{v} ({seeds[v]})" for v in variants if seeds[v] < FEWEST_SEEDS],
         fewest_seeds=FEWEST_SEEDS,
         resimulated=RESIMULATION in set(per_image["variant"]),
-        times=errors.get(reference, 0.0) / errors.get(RESIMULATION, math.inf),
+        control=errors.drop(RESIMULATION, errors="ignore").min() / errors.get(RESIMULATION, np.nan),
         most_times=MOST_TIMES,
         label=metric_of(CONTROL).label,
         sites=networks["site"].nunique(),

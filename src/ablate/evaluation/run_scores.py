@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 from filelock import FileLock
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
 
 MOST_CLIPPED = 0.001  # of the fan's pixels, before a note says so
+MOST_APART = 1  # grey levels between two renderings; a GPU may round differently each time
 
 
 def resimulation_images(pairs: Pairs) -> ImageSource:
@@ -49,7 +51,8 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
 def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
     """Score a generator, and re-simulation where the data set has it; arguments as for `Scorer.score`.
 
-    The notes also say which share of the generator's output was clipped.
+    The notes also say which share of the generator's output was clipped, and whether a frame differs when it is
+    rendered again with the same noise.
     """
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
@@ -63,16 +66,24 @@ def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scor
             tables.append(scores.per_image.assign(source=source, split=part.name))
             mark = FLOOR_PREFIX if source == RESIMULATED else ""
             scalars |= {f"{prefix}/{mark}{name}": value for name, value in scores.scalars.items()}
-        notes = (*scored[MODEL].notes, *_about_output(counts))
+        notes = (*scored[MODEL].notes, *_about_output(counts, images_of, scorer.pairs.frames(part)[:1]))
     return Scores(pd.concat(tables, ignore_index=True), scalars, notes)
 
 
-def _about_output(counts: list[tuple[int, int]]) -> list[str]:
-    """What is wrong with a generator's output, a sentence each."""
+def _about_output(counts: list[tuple[int, int]], images_of: ImageSource, frame: np.ndarray) -> list[str]:
+    """What is wrong with a generator's output, a sentence each: clipped pixels, a frame that differs when repeated."""
+    notes = []
     clipped, pixels = (sum(column) for column in zip((0, 0), *counts, strict=True))
-    if clipped <= MOST_CLIPPED * pixels:
-        return []
-    return [
-        f"The generator's output lies outside [-1, 1] in {100 * clipped / pixels:.2g} % of the pixels of the fan; "
-        "these values were clipped to black or white."
-    ]
+    if clipped > MOST_CLIPPED * pixels:
+        notes.append(
+            f"The generator's output lies outside [-1, 1] in {100 * clipped / pixels:.2g} % of the pixels of the fan; "
+            "these values were clipped to black or white."
+        )
+    once, again = (images_of(frame, 0).astype(np.int16) for _ in range(2))
+    apart = int(np.abs(once - again).max(initial=0))
+    if apart > MOST_APART:
+        notes.append(
+            f"The generator renders frame {frame[0]} differently each time with the same noise, by up to {apart} grey "
+            "levels (dropout that is left on does this): its scores differ from one scoring to the next."
+        )
+    return notes

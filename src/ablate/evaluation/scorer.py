@@ -52,7 +52,7 @@ class Scores:
     too. `scalars` are the mean of each per-image metric over its finite values, and what only a set of images has
     (`fd_speckle`, ...); `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such as
     `test/psnr`, `test/floor_psnr` and `val/psnr`. `notes` tell of metrics that were asked for and not computed. Of a
-    run they also tell of values that were clipped.
+    run they also tell of values that were clipped, and of images that differ when they are rendered again.
     """
 
     per_image: pd.DataFrame
@@ -165,10 +165,8 @@ class Scorer:
                 groups = np.repeat(sites, len(rendered) // len(sites))  # rows of features go image by image
                 scalars |= _distances(of_sets, rendered, wanted, groups)
         if absent := sorted({m.name for m in computed if not m.of_set} - set(per_image["metric"])):
-            what = (
-                "no frame has what they measure, such as bone, shadow, a map of attenuation or several draws of noise"
-            )
-            notes = (*notes, f"{' and '.join(absent)}: not computed, {what}.")
+            what = "bone, shadow, tissue, patches in the fan, a map of attenuation, or a known depth of the pixels"
+            notes = (*notes, f"{' and '.join(absent)}: not computed, as no frame has what is needed ({what}).")
         return Scores(per_image, scalars, notes)
 
     def _score_frame(self, frame: int, draws: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:

@@ -46,13 +46,14 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         if not GlobalHydra.instance().is_initialized():  # as the command line does it
             folder = str(conf_folder())
             stack.enter_context(initialize_config_dir(folder, version_base=VERSION_BASE, job_name="ablate"))
-        searched = (each.path for each in GlobalHydra.instance().config_loader().get_search_path().get_path())
+        searched = GlobalHydra.instance().config_loader().get_search_path().get_path()
         files = {path: path.stat().st_mtime_ns for path in sorted(conf_folder().rglob("*.yaml"))}
         groups = {path.parent.name for path in files}
         words = [(override, _kind(override, groups)) for override in parsed(overrides)]
-        if all(kind for _, kind in words):
+        alone = "command-line" not in {each.provider for each in searched}  # without --config-dir
+        if alone and all(kind for _, kind in words):
             chosen = tuple(str(override.input_line) for override, kind in words if kind == "file")
-            config = deepcopy(_of_files(chosen, (*searched, *files.items())))
+            config = deepcopy(_of_files(chosen, tuple(files.items())))
             with suppress(OmegaConfBaseException):  # which Hydra explains
                 for override in (override for override, kind in words if kind == "value"):
                     OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
@@ -68,7 +69,7 @@ def _of_files(words: tuple[str, ...], _state: object) -> DictConfig:
 def _kind(override: Override, groups: Collection[str]) -> str | None:
     """Whether a word chooses a file of conf/, or is for Hydra itself; whether it gives a value; None for others."""
     key = override.key_or_group
-    if override.is_sweep_override() or override.package is not None:
+    if override.is_sweep_override() or override.package is not None or key == "hydra.searchpath":
         return None
     chooses = key in groups and isinstance(override.value(), str)
     if override.type in (OverrideType.CHANGE, OverrideType.ADD) and (chooses or key.startswith(("hydra.", "hydra/"))):

@@ -125,27 +125,28 @@ def _read(cells: pd.DataFrame) -> Design:
         reading = f"The defining relation is I = {words[0]}, where + means that a component is changed. {mixed}"
         return Design(cells, f"half of the factorial of {components} ({count} of {full} cells)", reading)
     apart = np.abs(codes[:, None, :] - codes[None, :, :]).sum(axis=2)
-    centre = int(np.argmax((apart == 1).sum(axis=1)))
+    neighbours, first = (apart == 1).sum(axis=1), cells.index[0]
+    centre = 0 if neighbours[0] else int(np.argmax(neighbours))
     near = apart[centre] <= 1
-    switched = cells[near].nunique() == 2
     pairs = [(1 - 2 * codes[:, pair]).prod(axis=1) for pair in map(list, combinations(range(len(factors)), 2))]
     terms = np.column_stack([np.ones(len(codes)), codes, *pairs])
-    if switched.all() and np.linalg.matrix_rank(terms) < terms.shape[1]:
+    if neighbours[centre] and np.linalg.matrix_rank(terms) < terms.shape[1]:
         kept = apart[centre] <= 2  # more changes at once hold interactions that these cells cannot tell apart
         cells, near, count = cells[kept], near[kept], len(changed[kept].drop_duplicates())
-    if set(cells.index[~near]) <= {cells.index[0]}:  # the full model beside an add-one-in study takes no part in it
+    if set(cells.index[~near]) <= {first}:  # the full model beside an add-one-in study takes no part in it
         base = changed.index[centre]
         reading = (
             f"An effect is the effect of one change while everything else is as in {base}. Whether it depends on the "
             "other components (an interaction) cannot be told from these runs."
         )
         cells = cells[near]
-        cells = cells.loc[:, switched]
+        cells = cells.loc[:, cells.nunique() == 2]
         return Design(cells, f"one change at a time around {base} ({len(cells.drop_duplicates())} cells)", reading)
     reading = (
         "An interaction of two components is estimated if all four combinations were run, and the effects of both are "
-        "averaged over these. All other interactions are taken as zero: if they are not, the effects are wrong."
+        "averaged over these. All other interactions are taken as zero: if they are not, these effects can be wrong."
     )
+    cells = cells.loc[:, cells.nunique() == 2]
     return Design(cells, f"{count} of the {full} cells of {components}", reading)
 
 
