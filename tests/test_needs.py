@@ -30,8 +30,9 @@ def ablate(absent: tuple[str, ...], *arguments: str) -> subprocess.CompletedProc
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_simulation_needs_neither_lightning_nor_mlflow_nor_what_windows_lacks(tmp_path: Path) -> None:
-    size = ("preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=6", "dataset.workers=2")
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_simulation_needs_neither_lightning_nor_mlflow_nor_what_windows_lacks(tmp_path: Path, workers: int) -> None:
+    size = ("preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=6", f"dataset.workers={workers}")
     done = ablate(TRAINING, "task=simulate", *size, f"runs_dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     assert "6 frames in" in done.stdout

@@ -113,6 +113,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_with_its_name_and_nothing_half_written(tmp_path: Path, recipe: Recipe, blank: Blank) -> None:
     """On a file system of its own, in a mount namespace that ends with the command."""
     room = tmp_path / "room"
