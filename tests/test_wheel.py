@@ -44,7 +44,7 @@ def test_an_installed_wheel_describes_the_variants_from_anywhere(tmp_path: Path)
     elsewhere.mkdir()
     assert run(python, "-c", "import ablate; print(ablate.__file__)", cwd=elsewhere).strip().startswith(str(site))
     for command in ([python, "-m", "ablate"], [python, site / "bin" / "ablate"]):
-        table = run(*command, "task=describe", cwd=elsewhere)
+        table = run(*command, "task=describe", "preset=paper", cwd=elsewhere)
         assert "14,450,964" in table
         assert "57,171,266" in table
     assert list(elsewhere.iterdir()) == []
