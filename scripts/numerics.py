@@ -3,8 +3,8 @@
 make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour and a half at most on two cores
 python scripts/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 
-The part of the paper's size trains SA2H there first and shows its frames and scores. Of a
-patient, figures of errors and times are shown and no image. Tables stand between `<!-- table: name -->` and
+The part of the paper's size trains SA2H there first and shows its frames and scores. Of a patient, figures of errors
+and times are shown and no image. Tables stand between `<!-- table: name -->` and
 `<!-- end -->`; all other text is left as it is.
 """
 

@@ -99,6 +99,8 @@ def test_an_interaction_of_cells_far_from_the_full_model_is_no_effect_of_other_c
 def test_a_component_that_only_cells_far_from_the_full_model_lack_is_not_judged():
     unfinished = study_of([*LEAVE_ONE_OUT[:-1], NAMES])
     assert find_design(unfinished, FACTORS).factors == list(FACTORS[:-1])
+    with_a_pair = find_design(study_of([*LEAVE_ONE_OUT[:-1], ("attenuation", "concat"), NAMES]), FACTORS)
+    assert with_a_pair.name == "6 of the 16 cells of 4 components", "of those that vary in it"
     beside = find_design(study_of([*LEAVE_ONE_OUT[:-1], *ADD_ONE_IN[1:]]), FACTORS)
     assert beside.name == "one change at a time around sa2h (5 cells)", "the full model stays the centre"
 

@@ -147,7 +147,8 @@ def _read(cells: pd.DataFrame) -> Design:
         "averaged over these. All other interactions are taken as zero: if they are not, these effects can be wrong."
     )
     cells = cells.loc[:, cells.nunique() == 2]
-    return Design(cells, f"{count} of the {full} cells of {components}", reading)
+    varied = len(cells.columns)
+    return Design(cells, f"{count} of the {2**varied} cells of {varied} components", reading)
 
 
 def run_means(
