@@ -36,9 +36,9 @@ HERE = Path(__file__).parents[1]
 def serve(preset: str, frames: int, many: int, anatomy: int) -> None:
     """Render frames on request: each line of the standard input is rays and frame, each answer is a line of ms."""
     import torch
-
     from ablate.jobs.compose import jobs_of
     from ablate.runs import simulated
+
     from ablate.ultrasound import Simulator
 
     torch.set_num_threads(1)

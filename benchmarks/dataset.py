@@ -16,18 +16,18 @@ from statistics import median
 
 import numpy as np
 import torch
-from numcodecs import Blosc, Zstd
-
-from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
-from ablate.dataset.encoding import decode_attenuation, encode_attenuation
-from ablate.dataset.pairs import FORMATS
 from ablate.jobs.compose import jobs_of
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
 from ablate.runs.prepare import prepare_data, simulator_of
 from ablate.runs.simulated import build_scene
-from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
+from numcodecs import Blosc, Zstd
+
+from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
+from ablate.dataset.encoding import decode_attenuation, encode_attenuation
+from ablate.dataset.pairs import FORMATS
+from ablate.settings.study import DatasetSettings
 from ablate.ultrasound import Simulator
 from yardstick import Yardstick
 

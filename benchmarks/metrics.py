@@ -16,17 +16,17 @@ from statistics import median
 
 import numpy as np
 import torch
-
-from ablate.anatomy import TissueKind
-from ablate.dataset import Pairs, Part
-from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
 from ablate.jobs.compose import jobs_of
-from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
-from ablate.networks import Space
 from ablate.runs.data_set import DataSet as Data
 from ablate.runs.data_set import maps_needed
 from ablate.runs.prepare import prepare_data
 from ablate.tracking import hardware
+
+from ablate.anatomy import TissueKind
+from ablate.dataset import Pairs, Part
+from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
+from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
+from ablate.networks import Space
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 from yardstick import Yardstick

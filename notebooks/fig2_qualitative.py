@@ -19,10 +19,10 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import matplotlib.pyplot as plt
+from ablate.comparison.opened import found_study
 from IPython.display import Image
 
 from ablate.analysis import qualitative_figure
-from ablate.comparison.opened import found_study
 
 study = found_study()
 folder = Path(mkdtemp())

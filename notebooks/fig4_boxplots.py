@@ -18,10 +18,10 @@
 from pathlib import Path
 from tempfile import mkdtemp
 
+from ablate.comparison.opened import found_study
 from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
-from ablate.comparison.opened import found_study
 from ablate.metrics import Group, Shown, metric_of, shown_in
 
 study = found_study()

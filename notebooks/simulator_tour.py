@@ -22,6 +22,8 @@ from unittest.mock import patch
 
 import matplotlib.pyplot as plt
 import numpy as np
+from ablate.comparison.opened import found_study
+from ablate.runs.simulated import build_scene
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Patch
 from scipy.ndimage import maximum_filter1d
@@ -29,9 +31,7 @@ from scipy.ndimage import maximum_filter1d
 from ablate.analysis.figures.body_view import draw_body
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import bounds_mm
-from ablate.comparison.opened import found_study
 from ablate.dataset import Part
-from ablate.runs.simulated import build_scene
 from ablate.settings.study import SceneKind
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur

@@ -15,11 +15,11 @@
 # another study. Nothing is trained.
 
 # %%
+from ablate.comparison.opened import found_study
 from IPython.display import Markdown
 
 from ablate.analysis import paired_table, to_latex, to_markdown
 from ablate.analysis.tables import resimulation_note
-from ablate.comparison.opened import found_study
 from ablate.metrics import Shown, shown_in
 
 study = found_study()

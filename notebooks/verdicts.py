@@ -21,10 +21,10 @@
 from pathlib import Path
 from tempfile import mkdtemp
 
+from ablate.comparison.opened import ANSWER, found_study
 from IPython.display import Image, display
 
 from ablate.analysis import caption, forest_figure, improvements, interactions
-from ablate.comparison.opened import ANSWER, found_study
 from ablate.metrics import metric_of
 
 study = found_study(ANSWER, "make answer")

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from ablate.comparison.usable_runs import levels_of
+from ablate.jobs.compose import jobs_of
 from tqdm import trange
 
 from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
-from ablate.comparison.usable_runs import levels_of
-from ablate.jobs.compose import jobs_of
 from ablate.settings.conf import components
 
 NAMES = tuple(component.name for component in components())

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-
-from ablate.analysis import RESIMULATION
 from ablate.comparison.frame_times import TIMES
 from ablate.comparison.reading import pictures
 from ablate.comparison.usable_runs import usable_runs
 from ablate.runs.run import Run, State
+
+from ablate.analysis import RESIMULATION
 from ablate.storage import write_json
 from results_page import FRAME, MAIN, PICTURES, write_page
 

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from ablate.jobs.compose import composed
+from ablate.jobs.refusals import in_one_line
+from ablate.jobs.schema import settings as settings_of_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.__main__ import main
-from ablate.jobs.compose import composed
-from ablate.jobs.refusals import in_one_line
-from ablate.jobs.schema import settings as settings_of_config
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ablate.jobs.launch import Launch
+from ablate.runs.job import Job
+from ablate.tasks.command import execute
 
 import ablate
 from ablate.__main__ import main
-from ablate.jobs.launch import Launch
-from ablate.runs.job import Job
 from ablate.settings.study import TrackingSettings
-from ablate.tasks.command import execute
 
 
 def only_line(out: str, error: str, runs: Path) -> str:

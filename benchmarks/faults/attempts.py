@@ -13,7 +13,6 @@ from faults.mutations import bytes_of, name, tree_of
 
 if TYPE_CHECKING:
     import trimesh
-
     from ablate.runs.job import Job
 
 # Damages an input and reads it; what is refused is a ConfigurationError.
@@ -124,8 +123,9 @@ def write_mesh(folder: Path, number: int, suffix: str) -> str:
 
 def _load_scene(job: "Job", rng: random.Random) -> None:
     """Check and load as a simulation does, and now and then simulate."""
-    from ablate.anatomy import load_scene, load_sites
     from ablate.jobs.preflight import check
+
+    from ablate.anatomy import load_scene, load_sites
     from ablate.settings.study import refusing
 
     check([job])
@@ -146,11 +146,11 @@ def _prepare(job: "Job") -> None:
 def _pngs(unbroken: Path, place: Path) -> Attempt:
     """The bytes of a PNG, of labels.csv or of frames.csv, of pairs that were made elsewhere."""
     import numpy as np
+    from ablate.jobs.preflight import check
+    from ablate.runs.data_set import DataSet
     from skimage.io import imsave
 
     from ablate.dataset import Part
-    from ablate.jobs.preflight import check
-    from ablate.runs.data_set import DataSet
     from ablate.settings.study import refusing
 
     pairs = DataSet(next(unbroken.glob("data/*/about.json")).parent).pairs
@@ -214,10 +214,11 @@ def _run_files(*names: str) -> Callable[[Path, Path], Attempt]:
 
 def _read_study(job: "Job") -> None:
     """What `task=plan` and `task=compare` read of a study, without figures and without MLflow."""
-    from ablate.analysis import cautions
     from ablate.comparison.reading import answers, pictures, provenance, scored_frames
     from ablate.comparison.usable_runs import usable_runs
     from ablate.jobs.preflight import check
+
+    from ablate.analysis import cautions
     from ablate.tasks.plan import show_progress
 
     check([job])

@@ -94,8 +94,9 @@ def scene_bytes(bench: Bench, _: random.Random, number: int) -> Round:
 
 
 def _change_bytes(place: Path, number: int) -> None:
-    from ablate.anatomy.scene_folder import MESH_SUFFIXES
     from ablate.jobs.compose import jobs_of
+
+    from ablate.anatomy.scene_folder import MESH_SUFFIXES
     from ablate.settings.study import ConfigurationError, refusing
     from faults.attempts import write_mesh
 

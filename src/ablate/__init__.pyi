@@ -1,4 +1,4 @@
 __version__: str
 
-from .comparison.opened import open_study as open_study
 from .pretrained import load as load
+from .study.opened import open_study as open_study

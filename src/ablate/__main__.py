@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ablate.settings.study import ConfigurationError
-from ablate.tasks.command import execute
+from ablate.tasks.entry import execute
 
 
 class _Stopped(KeyboardInterrupt):

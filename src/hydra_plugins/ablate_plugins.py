@@ -20,7 +20,7 @@ except ImportError:  # the extra `slurm` is not installed
 
 
 class ProcessLauncher(Launcher):
-    """`hydra/launcher=processes`: a process for each job on this machine; see `ablate.jobs.launch`."""
+    """`hydra/launcher=processes`: a process for each job on this machine; see `ablate.command.launch`."""
 
     def __init__(self, n_jobs: int = -1) -> None:
         self.n_jobs = n_jobs
@@ -31,8 +31,8 @@ class ProcessLauncher(Launcher):
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
         """Check all jobs, make their pairs, run them side by side and compare their study."""
-        from ablate.jobs.launch import start_processes
-        from ablate.tasks.command import run_sweep
+        from ablate.command.launch import start_processes
+        from ablate.tasks.entry import run_sweep
 
         return run_sweep(self.config, job_overrides, initial_job_idx, start_processes(self))
 
@@ -60,7 +60,7 @@ class CellSweeper(Sweeper):
 
         Each job is told which keys are swept, because its label names them, wherever it is composed.
         """
-        from ablate.jobs.compose import cells, swept_keys
+        from ablate.command.compose import cells, swept_keys
 
         jobs = cells(self.config.hydra.sweeper.params, arguments)
         swept = ",".join(sorted(swept_keys(jobs, arguments)))
@@ -82,7 +82,7 @@ if SlurmLauncher is not None:
 
         def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
             """Check all jobs, submit one array of them, wait for it and compare their study."""
-            from ablate.jobs.slurm import submit
-            from ablate.tasks.command import run_sweep
+            from ablate.command.slurm import submit
+            from ablate.tasks.entry import run_sweep
 
             return run_sweep(self.config, job_overrides, initial_job_idx, submit(self), elsewhere=True)

@@ -12,13 +12,20 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.preflight import check
+from ablate.runs.data_set import DataSet as Data
+from ablate.runs.data_set import maps_needed
+from ablate.runs.job import Job
+from ablate.runs.place import finished_run
+from ablate.runs.prepare import prepare_data
+from ablate.runs.run import State
+from ablate.runs.train import run_job, scorer
 
 from ablate.anatomy import load_tissues
 from ablate.dataset import Part
 from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
 from ablate.evaluation.scorer import not_computed
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.preflight import check
 from ablate.metrics import (
     METRICS_VERSION,
     Pair,
@@ -31,13 +38,6 @@ from ablate.metrics import (
     noise_sd,
     speckle_features,
 )
-from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed
-from ablate.runs.job import Job
-from ablate.runs.place import finished_run
-from ablate.runs.prepare import prepare_data
-from ablate.runs.run import State
-from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
 from ablate.threads import torch_threads

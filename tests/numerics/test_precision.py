@@ -13,21 +13,21 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from ablate.jobs.compose import jobs_of
+from ablate.runs.simulated import build_scene
+from ablate.runs.train import run_job
+from ablate.tracking import default_uri
 from mlflow import MlflowClient
 
 from ablate.dataset import Part, label_values, network_inputs
-from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
 from ablate.networks import Space
 from ablate.networks.spec import OF_SURFACES
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
-from ablate.runs.simulated import build_scene
-from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest
-from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
 from support.studies import run as run_command

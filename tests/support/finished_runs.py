@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
-
-from ablate.metrics import METRICS_VERSION
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place
 from ablate.runs.run import Run
+
+from ablate.metrics import METRICS_VERSION
 from ablate.storage import write_json
 
 PARAMETERS = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}

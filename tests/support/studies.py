@@ -8,11 +8,11 @@ from io import StringIO
 from pathlib import Path
 from unittest import mock
 
-from matplotlib.figure import Figure
-
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
+from matplotlib.figure import Figure
+
 from ablate.tasks.run_task import run_task
 
 TINY = ["preset=tiny"]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 import torch
-
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
+
 from ablate.tasks.plan import progress, show_progress
 from support.finished_runs import PARAMETERS
 from support.finished_runs import finish as write_finished

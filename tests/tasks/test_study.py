@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from mlflow import MlflowClient
-
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State
 from ablate.runs.train import run_job
+from ablate.tracking import default_uri
+from mlflow import MlflowClient
+
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.tasks import run_task as tasks
-from ablate.tracking import default_uri
 from support.studies import SWEEP, TINY, TinyStudy, Unrendered, run
 
 

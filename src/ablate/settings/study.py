@@ -1,7 +1,7 @@
 """All settings of a job as one frozen dataclass; the rooms' own settings are groups of it.
 
 Each key, its type, default, range and what it decides stand at its field (`ablate.setting`). This module knows nothing
-of Hydra; `jobs.schema` makes Hydra's schema from it.
+of Hydra; `command.schema` makes Hydra's schema from it.
 """
 
 import math
@@ -57,14 +57,6 @@ class Task(StrEnum):
     stability = "stability"
 
 
-class SceneKind(StrEnum):
-    """`fetal`: the built-in anatomy; `folder`: meshes and a scene.yaml; `pairs`: no scene, but PNGs made elsewhere."""
-
-    fetal = "fetal"
-    folder = "folder"
-    pairs = "pairs"
-
-
 class Verbosity(StrEnum):
     """What the terminal shows of a run's log: warnings alone, all of it, or also what libraries tell."""
 
@@ -85,7 +77,7 @@ class ExportFormat(StrEnum):
 class SceneSettings(Checked):
     """Which anatomy."""
 
-    kind: SceneKind = setting(SceneKind.fetal, "Where scene or pairs come from.")
+    kind: str = setting("fetal", "Where scene or pairs come from: a file of conf/scene.")
     folder: str | None = setting(None, "Folder of your own scene, or of your pairs.")
     triangles: int = setting(675_000, "Triangles of the built-in anatomy.", least=FEWEST_TRIANGLES)
     anatomy_seed: int = setting(0, "Which patient the built-in anatomy is.", least=0)
@@ -110,7 +102,7 @@ class DatasetSettings(Checked):
     press_mm: float = setting(8.0, "How far the probe is pressed in.", least=0, most=1000, unit="mm")
     shard: int = setting(16, "Frames a file.", least=1, most=10_000, incidental=True)
     workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
-    # Of poses, what they are decides, not the file's name: see `runs.simulated`.
+    # Of poses, what they are decides, not the file's name: see `sources.simulated`.
     poses: str | None = setting(None, "File of your own poses instead of the scene's grid.", incidental=True)
     format: ExportFormat = setting(
         ExportFormat.png, "What `task=export` writes; with `dicom`, also a cine of `task=render`.", incidental=True
@@ -222,10 +214,10 @@ class StudySettings(Checked):
 
     @property
     def scene_name(self) -> str:
-        """The name of the scene's folder, cut, and with `_` for what cannot stand in the name of a study."""
-        if self.scene.kind is SceneKind.fetal:
-            return "fetal"
-        name = re.sub(r"[^\w.+ -]", "_", Path(self.scene.folder or "").resolve().name)
+        """The kind of the scene, or the name of its folder, cut, and with `_` for what no name of a study may hold."""
+        if self.scene.folder is None:
+            return self.scene.kind
+        name = re.sub(r"[^\w.+ -]", "_", Path(self.scene.folder).resolve().name)
         return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
 
     @property

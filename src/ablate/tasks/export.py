@@ -11,11 +11,12 @@ from jinja2 import Template
 from ablate.dataset import Part
 from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.extras import installing
-from ablate.runs.data_set import DataSet, maps_needed
-from ablate.runs.job import Job
-from ablate.runs.prepare import prepare_data
-from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
+from ablate.settings.study import ConfigurationError, ExportFormat, StudySettings, refusing
+from ablate.sources.data_set import DataSet, maps_needed
+from ablate.sources.prepare import prepare_data
+from ablate.sources.source import source_of
 from ablate.storage import write_text
+from ablate.study.job import Job
 from ablate.ultrasound.probe import pixel_size_mm
 
 
@@ -24,12 +25,13 @@ def export(jobs: Sequence[Job]) -> int:
     """Write the first job's data set, simulated first where it is missing, and print the folder of the files."""
     settings = jobs[0].settings
     chosen = settings.dataset.format
-    if chosen is ExportFormat.dicom and settings.scene.kind is SceneKind.pairs:
+    if chosen is ExportFormat.dicom and not source_of(settings).has_scene:
         raise ConfigurationError(
             "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
         )
     check_dicom(chosen)
-    data = prepare_data(jobs[0], maps_needed(job.settings.model for job in jobs))
+    maps = maps_needed(job.settings.model for job in jobs)
+    data = prepare_data(settings, jobs[0].data, jobs[0].identity["data"], maps)
     pairs = data.pairs
     folder = settings.results / "export" / f"{data.name}-{chosen}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -62,5 +64,5 @@ def _card(settings: StudySettings, data: DataSet) -> str:
     made = {key: about[key] for key in ("scene", "probe", "simulator", "simulator_version", "dataset") if key in about}
     card = Template(files("ablate.tasks").joinpath("card.md.jinja").read_text("utf-8"), keep_trailing_newline=True)
     about_frames = {"parts": parts, "sites": len(np.unique(pairs.sites)), "made": json.dumps(made, indent=2)}
-    imported = settings.scene.kind is SceneKind.pairs
+    imported = not source_of(settings).has_scene
     return card.render(settings=settings, pairs=pairs, imported=imported, **about_frames)

@@ -3,14 +3,16 @@
 import sys
 from collections.abc import Sequence
 from datetime import timedelta
+from pathlib import Path
 
 import pandas as pd
 
-from ablate.comparison.usable_runs import check_alike
-from ablate.runs.job import Job
-from ablate.runs.place import finished_run
-from ablate.runs.run import State, runs_of
+from ablate.command.compose import without_repetitions
+from ablate.study.job import Job
+from ablate.study.training import State, trainings_in
 from ablate.training import read_checkpoint
+
+_FINISHED = "finished"
 
 
 def show_progress(jobs: Sequence[Job]) -> int:
@@ -27,34 +29,41 @@ def show_progress(jobs: Sequence[Job]) -> int:
 
 
 def progress(jobs: Sequence[Job]) -> pd.DataFrame:
-    """One row a job: job; state, one of `State`; done, share of the steps; seconds left.
+    """One row a job: job; state, one of `State` or `finished`; done, share of the steps; seconds left.
 
-    The time of a job is the median of the finished runs of its label in its study, or of all runs there, or else NaN.
-    A run that was resumed tells no time.
+    The time of a job is the median of the trainings of its label in its study, or of all trainings there, or else NaN.
+    A training that was resumed tells no time.
     """
-    studies = dict.fromkeys(job.settings.study_dir for job in jobs)
-    finished = {study: [run for run in runs_of(study) if run.state is State.finished] for study in studies}
-    for runs in finished.values():
-        check_alike(runs)
+    times: dict[Path, pd.DataFrame] = {}
     rows = []
-    for job in jobs:
+    for job in without_repetitions(jobs):
+        study_dir = job.settings.study_dir
+        if study_dir not in times:
+            times[study_dir] = _times_in(study_dir)
+        known = times[study_dir]
+        alike = known["seconds"][known["label"] == job.label]
+        seconds = (alike if len(alike) else known["seconds"]).median()
         state, done = _state_of(job)
-        here = finished[job.settings.study_dir]
-        alike = [run for run in here if run.label == job.label and "seconds" in run.result["scalars"]]
-        told = pd.Series([run.result["scalars"].get("seconds") for run in alike or here], dtype=float).median()
-        rows.append({"job": job.name, "state": state, "done": done, "seconds": told * (1 - done) if done < 1 else 0.0})
+        rows.append({"job": job.name, "state": state, "done": done, "seconds": seconds * (1 - done) if done < 1 else 0})
     return pd.DataFrame(rows)
 
 
+def _times_in(study_dir: Path) -> pd.DataFrame:
+    """How long the trainings of a study took: label and seconds."""
+    finished = [training for training in trainings_in(study_dir) if training.is_trained]
+    rows = [(one.label, one.result["scalars"].get("train/seconds")) for one in finished]
+    return pd.DataFrame(rows, columns=["label", "seconds"]).astype({"seconds": float}).dropna()
+
+
 def _state_of(job: Job) -> tuple[str, float]:
-    """The state of a job's run and the share of its steps that are done."""
-    if finished_run(job) is not None:
-        return State.finished, 1.0
-    run = job.run
-    if not run.checkpoint.exists():
-        return State.missing, 0.0
+    """The state of a job and the share of its steps that are done."""
+    if job.finished:
+        return _FINISHED, 1.0
+    training = job.training
+    if training.state is not State.resumable:
+        return training.state, float(training.is_trained)
     try:
-        return State.resumable, read_checkpoint(run.checkpoint)["steps_done"] / job.settings.training.steps
+        return State.resumable, read_checkpoint(training.checkpoint)["steps_done"] / job.settings.training.steps
     except ValueError as error:
         print(error, file=sys.stderr)
         return State.unusable, 0.0
@@ -66,7 +75,7 @@ def duration(seconds: float) -> str:
 
 
 def _rest(table: pd.DataFrame) -> str:
-    left = table[table["state"] != "finished"]
+    left = table[table["state"] != _FINISHED]
     if left.empty:
         return f"all {len(table)} jobs are finished" if len(table) > 1 else "1 job, which is finished"
     text = f"{len(left)} of {len(table)} jobs are left" if len(table) > 1 else "1 job is left"

@@ -9,14 +9,14 @@ import numpy as np
 from PIL import Image
 
 from ablate.analysis import preview_figure
-from ablate.anatomy import Scene, fetal_planes
+from ablate.anatomy import Scene
 from ablate.dataset import Pairs, Part, read_poses
-from ablate.runs.job import Job
-from ablate.runs.prepare import frames_of, simulator_of
-from ablate.runs.simulated import build_scene
 from ablate.setting import plain
-from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
+from ablate.settings.study import ConfigurationError, ExportFormat, StudySettings, refusing
+from ablate.sources.prepare import frames_of, simulator_of
+from ablate.sources.source import source_of
 from ablate.storage import known_json, write_image, write_json, written_whole
+from ablate.study.job import Job
 from ablate.tasks.export import check_dicom
 from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
@@ -31,13 +31,13 @@ def render(jobs: Sequence[Job]) -> int:
     job, settings = jobs[0], jobs[0].settings
     check_dicom(settings.dataset.format)
     named = _named_poses(job)  # before the anatomy is built
-    scene, grid = build_scene(settings)
+    scene, grid = source_of(settings).scene()
     if named is None:
-        frames = frames_of(job, scene, grid)
+        frames = frames_of(settings, job.data, scene, grid)
         check_frame(settings.frame, len(frames.sites))
         named = f"frame_{settings.frame}", np.asarray(frames.poses[settings.frame])[None]
     name, poses = named
-    chosen = simulator_of(job, scene, grid, poses)
+    chosen = simulator_of(settings, job.data, scene, grid, poses)
     made_with = _made_with(settings, chosen, scene, poses)
     folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
     simulator = Simulator(scene, settings.probe, chosen, poses=poses)
@@ -86,11 +86,11 @@ def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
     if settings.pose:
         return Path(settings.pose).stem, read_poses(Path(settings.pose), "pose")[0]
     if settings.plane:
-        if settings.scene.kind is not SceneKind.fetal:
+        planes = source_of(settings).planes()
+        if not planes:
             raise ConfigurationError(
-                f"plane={settings.plane}: planes are those of scene=fetal; allowed are pose and frame"
+                f"plane={settings.plane}: scene={settings.scene.kind} has no planes; allowed are pose and frame"
             )
-        planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
         if settings.plane not in planes:
             raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(planes)}")
         return settings.plane, planes[settings.plane][None]
@@ -119,13 +119,13 @@ def preview(jobs: Sequence[Job]) -> int:
     """Draw frame number `frame` of the first job's data set, and print the path of the picture."""
     job, settings, frame, data = jobs[0], jobs[0].settings, jobs[0].settings.frame, jobs[0].data
     check_frame(frame, len(data.pairs) if data.exists else settings.dataset.frames)
-    scene, grid = build_scene(settings)
-    frames = frames_of(job, scene, grid)
+    scene, grid = source_of(settings).scene()
+    frames = frames_of(settings, job.data, scene, grid)
     check_frame(frame, len(frames.sites))
     if isinstance(frames, Pairs) and frame // frames.shard not in frames.missing(_PREVIEW):
         image, segmentation = (frames.read(name, [frame])[0] for name in ("target", "segmentation"))
     else:
-        chosen = simulator_of(job, scene, grid, frames.poses)
+        chosen = simulator_of(settings, job.data, scene, grid, frames.poses)
         simulator = Simulator(scene, settings.probe, chosen, poses=frames.poses)
         rendered = simulator.render(frames.poses[frame], seed=settings.dataset.seed)  # as the data set will hold it
         image, segmentation = rendered.image, rendered.segmentation

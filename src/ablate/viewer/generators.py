@@ -24,11 +24,10 @@ from ablate.dataset.frame_maps import FrameMaps
 from ablate.dataset.processes import interrupts_blocked, work_for_parent
 from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.pretrained import OUTSIDE, Renderer, values_of
-from ablate.runs.job import differences
-from ablate.runs.run import Run
-from ablate.runs.run import State as RunState
 from ablate.setting import identity, plain
 from ablate.settings.study import StudySettings
+from ablate.study.job import differences
+from ablate.study.training import Training, trainings_in
 from ablate.threads import without_teams
 from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
 from ablate.ultrasound import Probe, SimulatorSettings, scan_converter
@@ -48,10 +47,10 @@ def pickable(folder: Path) -> dict[str, Path]:
 
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
-    folders = sorted({path.resolve() for path in (folder, *folder.glob("*/seed*"), *folder.glob("*/*/seed*"))})
-    runs = [run for run in map(Run, folders) if run.state is RunState.finished and run.checkpoint.exists()]
-    runs.sort(key=lambda run: run.label != StudySettings.reference)
-    named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs}
+    found = [Training(folder), *(one for place in (folder, *sorted(folder.glob("*/"))) for one in trainings_in(place))]
+    usable = [training for training in found if training.is_trained and training.checkpoint.exists()]
+    usable.sort(key=lambda training: training.label != StudySettings.reference)
+    named = {f"{training.folder.parent.name}: {training.name}": training.folder.resolve() for training in usable}
     return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
 
 
@@ -185,7 +184,7 @@ def _look(probe: Probe, simulator: SimulatorSettings) -> dict[str, object]:
 
 def trained_at(picked: Path) -> int:
     """When the weights of a run were written, ns; 0 of a generator that comes with the package."""
-    checkpoint = Run(picked).checkpoint
+    checkpoint = Training(picked).checkpoint
     return checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
 
 
@@ -209,8 +208,8 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         renderer, own = pretrained.load(picked.name), label_values(tissues, StudySettings.encoding)
         trained_on, is_known = tuple(load_tissues().values()), True
     else:
-        run = Run(picked)
-        if run.state is not RunState.finished:
+        run = Training(picked)
+        if not run.is_trained:
             raise FileNotFoundError(f"this run is gone: {picked} is {run.state} {run.why}".rstrip())
         settings, data = run.settings, run.data_set
         trained_on, is_known = data.tissues if data.exists else tuple(tissues), data.exists

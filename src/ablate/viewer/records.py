@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ablate.jobs.compose import job_of, quoted
+from ablate.command.compose import job_of, quoted
 from ablate.setting import plain
-from ablate.settings.study import SceneKind, StudySettings
+from ablate.settings.study import StudySettings
 from ablate.storage import write_image, write_json, written_whole
 from ablate.viewer.pictures import framed
 from ablate.viewer.session import State, Views
@@ -106,8 +106,8 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
     """
     wanted = replace(settings, probe=state.probe, simulator=state.simulator)
     overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}", f"probe={wanted.probe.kind}"]
-    if wanted.scene.kind is SceneKind.folder:
-        overrides.append(f"scene.folder={quoted(Path(wanted.scene.folder or '').resolve())}")
+    if wanted.scene.folder:
+        overrides.append(f"scene.folder={quoted(Path(wanted.scene.folder).resolve())}")
     if wanted.runs_dir != StudySettings.runs_dir:
         overrides.append(f"runs_dir={quoted(wanted.runs_dir)}")
     given: dict[str, str] = {}

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from ablate.anatomy import Scene, SiteGrid, fetal_planes
+from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset import equally_spaced, place_probe, read_poses
 from ablate.extras import installing
-from ablate.runs.job import Job
-from ablate.runs.simulated import build_scene, training_poses
-from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
+from ablate.settings.study import ConfigurationError, StudySettings, refusing
+from ablate.sources.simulated import training_poses
+from ablate.sources.source import source_of
+from ablate.study.job import Job
 from ablate.ultrasound import TimeGain
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import first_fitting, pickable
@@ -69,7 +70,7 @@ class Viewer:
 
     def __init__(self, settings: StudySettings) -> None:
         check_server(settings.viewer.port)
-        scene, grid = build_scene(settings)
+        scene, grid = source_of(settings).scene()
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
         poses = presets(settings, scene, grid, hand)
         folder = settings.results if settings.runs is None else Path(settings.runs)
@@ -138,8 +139,8 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -
     a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane is
     the first of the grid's rolls. A scene without a structure, or without a usable probe site, is a ValueError.
     """
-    if settings.scene.kind is SceneKind.fetal:
-        planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
+    planes = source_of(settings).planes()
+    if planes:
         return {name.replace("_", " "): pose for name, pose in planes.items()}
     upright = replace(grid, tilts_deg=(0.0,), rolls_deg=grid.rolls_deg[:1])
     placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)

@@ -13,9 +13,9 @@ from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
 from ablate.dataset.simulate import nudged
 from ablate.metrics import METRICS, Pair, evaluate_image
-from ablate.runs.job import Job
-from ablate.runs.prepare import frames_of, simulator_of
-from ablate.runs.simulated import build_scene
+from ablate.sources.prepare import frames_of, simulator_of
+from ablate.sources.source import source_of
+from ablate.study.job import Job
 from ablate.ultrasound import Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
@@ -68,10 +68,10 @@ def bench_of(job: Job) -> Bench:
     cannot be used.
     """
     settings = job.settings
-    scene, grid = build_scene(settings)
-    known = frames_of(job, scene, grid)
+    scene, grid = source_of(settings).scene()
+    known = frames_of(settings, job.data, scene, grid)
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
-    simulator = simulator_of(job, scene, grid, known.poses)
+    simulator = simulator_of(settings, job.data, scene, grid, known.poses)
     return Bench(scene, settings.probe, simulator, frames, known.poses[frames], settings.dataset.seed)
 
 

@@ -12,10 +12,10 @@ from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.dataset.simulate import nudged, timed_maps
 from ablate.networks import Generator, Space, conditions
 from ablate.numerics.precision.bench import Bench, Frames, Row, each, mean_errors, shown_progress
-from ablate.runs.job import Job
-from ablate.runs.run import Run, State, runs_of
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
+from ablate.study.job import Job
+from ablate.study.training import Training, trainings_in
 from ablate.threads import without_teams
 from ablate.training import (
     Engine,
@@ -32,10 +32,10 @@ _WARMUP = 2
 _LOG = logging.getLogger(__name__)
 #: How a generator is run.
 Execution = tuple[TrainingPrecision, Engine]
-Planned = list[tuple[Run, Execution]]
+Planned = list[tuple[Training, Execution]]
 
 
-def comparable_runs(job: Job) -> tuple[list[Run], str]:
+def comparable_runs(job: Job) -> tuple[list[Training], str]:
     """List the finished runs of all studies in `runs_dir` that can be compared, and say how many are left out.
 
     A run that was trained on other data has seen some of these test frames, or frames of another kind. A run without a
@@ -43,10 +43,10 @@ def comparable_runs(job: Job) -> tuple[list[Run], str]:
     """
     results = job.settings.results
     studies = sorted(path for path in results.glob("*") if path.is_dir())
-    runs = [run for study in studies for run in runs_of(study) if run.state is State.finished]
+    runs = [training for study in studies for training in trainings_in(study) if training.is_trained]
     if not runs:
         return [], f"no trained run in {results}: the simulator alone"
-    same = [run for run in runs if run.spec["semantic"]["data"] == job.semantic["data"]]
+    same = [run for run in runs if run.identity["data"] == job.identity["data"]]
     fit = [run for run in same if run.checkpoint.exists()]
     others, bare = len(runs) - len(same), len(same) - len(fit)
     counts = [
@@ -68,7 +68,7 @@ def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...
     return [(p, engine) for engine, what in lacking.items() if not what for p in precisions], tuple(notes)
 
 
-def schedule_of(runs: list[Run], settings: StudySettings) -> Planned:
+def schedule_of(runs: list[Training], settings: StudySettings) -> Planned:
     """List each run with each precision and engine that is measured of it.
 
     Every run is executed in eager mode in all precisions. Exporting takes up to a minute, so only the
@@ -76,9 +76,9 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> Planned:
     """
     every, _ = executions(settings)
     eager = [execution for execution in every if Engine.eager in execution]
-    first: dict[str, Run] = {}
-    ordered = sorted(runs, key=lambda run: (str(run.folder.parents[1]), run.label, run.seed))
-    chosen = {r: every if first.setdefault(digest(r.spec["semantic"]["model"]), r) is r else eager for r in ordered}
+    first: dict[str, Training] = {}
+    ordered = sorted(runs, key=lambda run: (str(run.folder.parent), run.label, run.seed))
+    chosen = {r: every if first.setdefault(digest(r.identity["model"]), r) is r else eager for r in ordered}
     return [(run, execution) for run, its_executions in chosen.items() for execution in its_executions]
 
 
@@ -106,9 +106,9 @@ def measure_generators(
         return points, details
     made = lru_cache(partial(make_inputs, bench))
     device = chosen_device(settings.training.device)
-    exact: dict[Run, Frames] = {}
+    exact: dict[Training, Frames] = {}
     for run, execution in shown_progress(planned, "trained runs"):
-        study, width = run.folder.parents[1].name, run.spec["settings"]["model"]["width"]
+        study, width = run.folder.parent.name, run.about["settings"]["model"]["width"]
         elsewhere = "" if study == settings.study else f", {study}"
         setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
         try:
@@ -131,7 +131,7 @@ def measure_generators(
 
 @torch.inference_mode()
 def _render(
-    run: Run, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
+    run: Training, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
 ) -> tuple[Frames, float]:
     """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
     trained, in_beam_space = run.settings, generator.spec.space is Space.beam

@@ -19,11 +19,11 @@ from ablate.numerics.precision.bench import (
     measure_simulator,
 )
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
-from ablate.runs.job import Job
-from ablate.runs.store_copy import open_store
+from ablate.publish import TaskView, published_task
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
-from ablate.tracking import TaskRecord, hardware, recorded_task
+from ablate.study.job import Job
+from ablate.study.provenance import hardware
 from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
@@ -45,15 +45,14 @@ def precision(jobs: Sequence[Job]) -> int:
     print("\n".join(about), flush=True)
     folder = settings.results / "precision"
     try:
-        with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
-            record.tags["scene"] = settings.scene_name
+        with published_task(settings, folder) as view:
             reference, *simulated = measure_simulator(bench)
             generated = measure_generators(bench, schedule_of(runs, settings), settings, reference)
             points, details = (
                 pd.DataFrame(a + b, columns=columns).astype({"setting": str})
                 for columns, a, b in zip((POINTS, DETAILS), simulated, generated, strict=True)
             )
-            for path in _report(folder, bench, about, points, details, record):
+            for path in _report(folder, bench, about, points, details, view):
                 print(path)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command measures everything again")
@@ -77,9 +76,9 @@ def _about(settings: StudySettings, bench: Bench, counts: str, lacking: Sequence
 
 
 def _report(
-    folder: Path, bench: Bench, about: list[str], errors: pd.DataFrame, more: pd.DataFrame, record: TaskRecord
+    folder: Path, bench: Bench, about: list[str], errors: pd.DataFrame, more: pd.DataFrame, view: TaskView
 ) -> list[Path]:
-    """Write and print the tables, draw the figure, record both, and return the paths of the files except PDFs."""
+    """Write and print the tables, draw the figure, publish both, and return the paths of the files except PDFs."""
     files = {"precision": errors, "details": more}
     for name, table in files.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
@@ -92,10 +91,9 @@ def _report(
     summary = folder / "summary.txt"
     write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
     written = [*(folder / f"{name}.csv" for name in files), summary]
-    record.files += [*written, *figures]
-    record.scores |= {f"order/{metric}": p for metric, (p, _) in _orders(errors).items()}
+    view.scores |= {f"order/{metric}": p for metric, (p, _) in _orders(errors).items()}
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
-    record.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
+    view.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
     return [*written, *(f for f in figures if f.suffix == ".png")]
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from ablate.jobs.compose import variant_model
+from ablate.command.compose import variant_model
 from ablate.networks import GeneratorSpec, Noise, conditions
 from ablate.networks.layers import EPSILON, convolutions, instance_norm
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, FLOAT64, TF32, Checks, case

@@ -12,10 +12,10 @@ from tqdm import tqdm
 
 from ablate.numerics.stability import extremes, metrics, networks, shapes, sound  # noqa: F401 (their cases)
 from ablate.numerics.stability.checks import CASES, run
-from ablate.runs.job import Job
-from ablate.runs.store_copy import open_store
+from ablate.publish import published_task
 from ablate.storage import write_text
-from ablate.tracking import Status, recorded_task
+from ablate.study.job import Job
+from ablate.study.log import Status
 from ablate.training import chosen_device
 
 COLUMNS = ["case", "dtype", "quantity", "measured", "bound", "holds"]
@@ -25,7 +25,7 @@ def stability(jobs: Sequence[Job]) -> int:
     """Run every case; return 1 if one fails, and name it on stderr."""
     settings = jobs[0].settings
     folder = settings.results / "stability"
-    with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
+    with published_task(settings, folder) as view:
         rows, device = [], str(chosen_device(settings.training.device))
         with tqdm(CASES.items(), unit="case", desc="stability", disable=None) as bar:
             for name, case in bar:
@@ -38,10 +38,9 @@ def stability(jobs: Sequence[Job]) -> int:
         print(f"{_shown(table)}\n\n{verdict}\n", *files, sep="\n")
         for name in fallen:
             print(f"falls: {name}", file=sys.stderr)
-        record.files += files
-        record.scores |= {"cases": len(CASES), "cases_that_hold": len(CASES) - len(fallen)}
-        record.description = "\n\n".join([verdict, *(f"Falls: {name}" for name in fallen), "The table: Artifacts."])
-        record.status = Status.failed if fallen else Status.finished
+        view.scores |= {"cases": len(CASES), "cases_that_hold": len(CASES) - len(fallen)}
+        view.description = "\n\n".join([verdict, *(f"Falls: {name}" for name in fallen), "The table: Artifacts."])
+        view.status = Status.failed if fallen else Status.finished
     return int(bool(fallen))
 
 

@@ -1,0 +1,68 @@
+"""The frozen settings of `ablate.settings.study` as the typed schema that Hydra composes it into."""
+
+import dataclasses
+from copy import copy
+from dataclasses import field
+from functools import cache, partial
+from typing import Any, get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+
+from ablate.command.scale import register_resolvers
+from ablate.setting import is_group
+from ablate.settings.conf import build
+from ablate.settings.study import StudySettings
+from ablate.ultrasound.settings import PROBE_KEYS, Probe, ProbeKind
+
+
+@cache
+def register() -> None:
+    """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml, and conf/'s resolvers."""
+    register_resolvers()
+    ConfigStore.instance().store(name="schema", node=_STUDY)
+
+
+def _schema(cls: type) -> type:
+    """A mutable dataclass with the fields of a frozen one, as OmegaConf needs it for typed configurations."""
+    hints = get_type_hints(cls)
+    fields: list[tuple[str, Any, Any]] = []
+    for one in dataclasses.fields(cls):
+        hint = hints[one.name]
+        if hint == Probe:
+            values = {"kind": ProbeKind.convex, **PROBE_KEYS}
+            # Null where not all kinds have it.
+            own = [(n, float | None if v is None else type(v), field(default=v)) for n, v in values.items()]
+            fields.append((one.name, probe := _made("Probe", own), field(default_factory=probe)))
+        elif is_group(hint):
+            fields.append((one.name, group := _schema(hint), field(default_factory=group)))
+        else:
+            default = list(one.default) if isinstance(one.default, tuple) else one.default
+            fields.append((one.name, hint, field(default_factory=partial(copy, default))))
+    return _made(cls.__name__, fields)
+
+
+def _made(name: str, fields: list[tuple[str, Any, Any]]) -> type:
+    """A dataclass that is an attribute of this module.
+
+    Launchers pickle it, and take a class that a module has by its name. Of another one cloudpickle takes the contents,
+    and writes them over the class of this process when a job's configuration comes back.
+    """
+    made = dataclasses.make_dataclass(f"{name}Schema", fields)
+    made.__module__ = __name__
+    globals()[made.__name__] = made
+    return made
+
+
+_STUDY = _schema(StudySettings)
+
+
+def settings(config: DictConfig) -> StudySettings:
+    """The frozen values behind a composed configuration, without Hydra's own node.
+
+    A value outside its allowed range is a ValueError that names it.
+    """
+    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    values = OmegaConf.to_container(own, resolve=True, throw_on_missing=True)
+    assert isinstance(values, dict)
+    return build(StudySettings, {str(k): v for k, v in values.items()})

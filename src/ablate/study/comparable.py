@@ -1,0 +1,151 @@
+"""Which runs of a list can be compared with each other, and what can make them differ."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ablate.analysis import listed
+from ablate.setting import flat
+from ablate.settings.conf import components
+from ablate.study.job import differences, identity_key
+from ablate.study.run import Run, RunList
+from ablate.training.settings import TRAINING_VERSION
+from ablate.ultrasound.settings import SIMULATOR_VERSION
+
+_ANATOMY = "data.scene.anatomy_seed"
+_SEEDS = ("seed", "training.seed", "encoding.seed")
+#: The versions that results may be of, with their words.
+_VERSIONS = {
+    "data.simulator_version": ("simulator", SIMULATOR_VERSION),
+    "training_version": ("training", TRAINING_VERSION),
+}
+_TOLD_BY_VARIANTS = ("training.loss", "training.discriminator_width")
+
+
+@dataclass(frozen=True)
+class ComparableRuns:
+    """Finished runs of a study.
+
+    `blocks` are on pairs that differ from those of `runs` in the anatomy, or in a component. They take part in the
+    effects of components.
+    """
+
+    runs: tuple[Run, ...]  # on the same pairs, so that they can be compared frame by frame
+    blocks: tuple[Run, ...]
+    notes: tuple[str, ...]  # what was left aside, a sentence each; for the report
+
+    @property
+    def all(self) -> tuple[Run, ...]:
+        return (*self.runs, *self.blocks)
+
+
+def comparable_runs(asked: RunList) -> ComparableRuns:
+    """Choose those that can be compared.
+
+    Of runs on different pairs those on the reference's are taken, or else on the pairs that most runs have; and as
+    blocks those on pairs that differ from them only in the anatomy or in components. Scores on other frames, which
+    another processor may have made of the same recipe, are left aside.
+    """
+    aside = {"not finished": list(asked.unfinished)}
+    runs, other_pixels = _of_same_pixels(asked.runs)
+    aside["left aside, scored on other pixels of the same recipe: processors round otherwise"] = other_pixels
+    blocks: list[Run] = []
+    if runs:
+        of_reference = [run for run in runs if run.label == asked.reference]
+        chosen = Counter(run.data for run in of_reference or runs).most_common(1)[0][0]
+        elsewhere = [run for run in runs if run.data != chosen]
+        varied = {identity_key(key) for key in factors_of(runs)} | {_ANATOMY}
+        runs = [run for run in runs if run.data == chosen]
+        pairs = runs[0].training.identity["data"]
+        for run in elsewhere:
+            unlike = {key for key, *_ in differences(run.training.identity["data"], pairs, "data")}
+            if unlike <= varied:
+                blocks.append(run)
+        part = f"{'takes' if len(blocks) == 1 else 'take'} part in effects and verdicts only"
+        aside[f"left aside, made from other pairs than {chosen}"] = [r.name for r in elsewhere if r not in blocks]
+        aside[f"on another anatomy or data set than {chosen} {part}"] = [run.name for run in blocks]
+    notes = [
+        f"{len(names)} run{'' if len(names) == 1 else 's'} {what}: {listed(names)}."
+        for what, names in aside.items()
+        if names
+    ]
+    used = [*runs, *blocks]
+    notes += [*_untold(runs, asked.reference), *_counted_twice(used), *_versions(used)]
+    return ComparableRuns(tuple(runs), tuple(blocks), tuple(notes))
+
+
+def _of_same_pixels(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Of each data set the runs that were scored on the pixels that most of them have, and the names of the others."""
+    usual = {}
+    for data in dict.fromkeys(run.data for run in runs):
+        usual[data] = Counter(run.pixels for run in runs if run.data == data).most_common(1)[0][0]
+    alike = [run for run in runs if run.pixels == usual[run.data]]
+    return alike, [run.name for run in runs if run not in alike]
+
+
+def _versions(runs: Sequence[Run]) -> list[str]:
+    """A sentence where runs are of other versions of the simulator or the training than this program."""
+    identities = [dict(flat(run.training.identity)) for run in runs]
+    notes = []
+    for key, (what, version) in _VERSIONS.items():
+        found = {identity[key] for identity in identities if key in identity}
+        if found - {version}:
+            versions = " and ".join(str(one) for one in sorted(found, key=str))
+            notes.append(f"These results are of version {versions} of the {what}; this program has version {version}.")
+    return notes
+
+
+def _untold(runs: Sequence[Run], reference: str) -> list[str]:
+    """A sentence for each key in which networks differ though their labels do not tell it."""
+    declared = {component.key for component in components()}
+    swept = {key for run in runs for key in run.changed}
+    levels = {run.label: levels_of(run.training.identity) for run in runs}
+    notes = []
+    for key in sorted({key for level in levels.values() for key in level}):
+        if key.startswith("model.") or key in declared or key in _TOLD_BY_VARIANTS:
+            continue
+        silent = {run.label for run in runs if key not in run.changed}
+        value_of = {label: level[key] for label, level in levels.items() if key in level and label in silent}
+        is_of_reference = key in swept and reference not in value_of
+        if value_of and (len(set(value_of.values())) > 1 or is_of_reference):
+            notes.append(f"{key} is {', '.join(f'{value} in {label}' for label, value in value_of.items())}.")
+    return notes
+
+
+def _counted_twice(runs: Sequence[Run]) -> list[str]:
+    """A sentence for each run with the frames and scores of another one, as where a scene has fewer poses than asked."""
+    first: dict[object, Run] = {}
+    notes = []
+    for run in runs:
+        scores = tuple(item for item in sorted(run.scalars.items()) if item[0].startswith("test/"))
+        twin = first.setdefault((run.pixels, scores), run) if scores else run
+        if twin is not run:
+            notes.append(f"{twin.name} and {run.name} have the same frames and scores, and count twice: remove one.")
+    return notes
+
+
+def without_anatomy(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What pairs are made from, without the seed of the anatomy: anatomies are the blocks of a study."""
+    return {**data, "scene": {k: v for k, v in data["scene"].items() if k != "anatomy_seed"}}
+
+
+def factors_of(runs: Sequence[Run]) -> tuple[str, ...]:
+    """The dotted keys that count as components: the declared ones, then those in labels; no anatomy."""
+    declared = (component.key for component in components())
+    swept = sorted({key for run in runs for key in run.changed} - {_ANATOMY.removeprefix("data.")})
+    return tuple(dict.fromkeys([*declared, *swept]))
+
+
+def levels_of(identity: Mapping[str, Any]) -> dict[str, object]:
+    """What can make a run differ from another one of its study: every dotted key that decides its weights.
+
+    `identity` is that of the training or of its job. Where no noise is injected, the weight that it would start with
+    says nothing and is left out; seeds and the anatomy are no components.
+    """
+    content = dict(flat(dict(identity)))
+    if content["model.noise"] != "inject":
+        content.pop("model.noise_start", None)
+    levels = {key: value for key, value in content.items() if key not in (*_SEEDS, _ANATOMY)}
+    levels["encoding"] = levels.pop("encoding.order")
+    return {key.removeprefix("data."): tuple(v) if isinstance(v, list) else v for key, v in levels.items()}

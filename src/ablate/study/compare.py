@@ -1,0 +1,228 @@
+"""Compare the runs of a study: tables, figures and a report on disk."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from filelock import FileLock
+
+from ablate import analysis
+from ablate.analysis import RESIMULATION, FramePictures, listed
+from ablate.analysis.tables import head
+from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
+from ablate.metrics.metric import FRAME_TIME
+from ablate.settings.conf import conf_folder
+from ablate.settings.study import ConfigurationError
+from ablate.storage import digest_of_files, known_json, write_json
+from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of
+from ablate.study.frame_times import TIMES, time_networks, timed_on, untimed
+from ablate.study.opened import Study
+from ablate.study.provenance import package_digest
+from ablate.study.reading import pictures, provenance, runtime_points
+from ablate.study.run import COMPARISON, Run, RunList, write_list
+from ablate.study.training import earlier_layout
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A comparison on disk, and what a reader must know of it, a sentence each."""
+
+    study: Study
+    notes: tuple[str, ...]
+
+
+def compare_study(asked: RunList, title: str, rebuild: bool = False, time_here: bool = True) -> Compared:
+    """Compare runs of a study, on disk.
+
+    Of several processes one compares and the others wait, and then keep what it made.
+
+    Parameters
+    ----------
+    asked : RunList
+        The runs; those that cannot be compared with the others are left aside and named.
+    title : str
+        Of the report.
+    rebuild : bool
+        Whether a comparison of the same files is made again; otherwise it is kept.
+    time_here : bool
+        Whether networks that this machine has not timed are timed first.
+
+    Raises
+    ------
+    ConfigurationError
+        Where no run is finished.
+    """
+    usable = comparable_runs(asked)
+    if not usable.runs:
+        told = [f"{asked.folder} holds no finished run to compare.", *usable.notes, *earlier_layout(asked.folder)]
+        raise ConfigurationError(" ".join(told))
+    with FileLock(asked.folder / ".comparison.lock"):
+        return _compare(asked, usable, title, rebuild, time_here)
+
+
+def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, time_here: bool) -> Compared:
+    failed = time_networks(asked.folder, usable.all) if time_here else ""
+    notes = [*usable.notes, *earlier_layout(asked.folder), *filter(None, [failed]), *untimed(usable.all)]
+    study = Study(asked, replace(usable, notes=tuple(notes)))
+    made_from, marker = _made_from(study), asked.folder / COMPARISON / "made_from.json"
+    for_readers = None if rebuild else _kept(marker, made_from)
+    if for_readers is None:
+        for_readers = write_comparison(study, title)
+        written = sorted(path.name for path in marker.parent.iterdir())
+        write_json(marker, {**made_from, "for_readers": for_readers, "written": written})
+    return Compared(study, tuple(for_readers))
+
+
+def on_screen(compared: Compared) -> str:
+    """What the terminal shows of a comparison: its table, its notes, and where its files are."""
+    study, folder = compared.study, compared.study.folder / COMPARISON
+    shown = study.table[study.table["metric"].isin(shown_in(Shown.screen))]
+    notes = "\n".join(f"Note: {note}" for note in compared.notes)
+    where = (
+        f"all metrics    {folder / 'table.csv'}\n"
+        f"paired tests   {folder / 'paired.csv'}\n"
+        f"verdicts       {folder / 'verdicts.csv'}{_verdicts_in_words(folder / 'verdicts.csv')}\n"
+        f"report         {folder / 'report.html'}"
+    )
+    return f"{analysis.to_text(shown)}\n{notes}\n\n{where}"
+
+
+def _made_from(study: Study) -> dict[str, Any]:
+    """What decides a comparison: the files of its runs and of times, the reference, what was left aside, bands, code.
+
+    A run that was deleted and trained again has the same configuration and other files.
+    """
+    runs = {f"{run.name} of {run.data}": run.training.compared_state(run.score_names) for run in study.usable.all}
+    read = [study.folder / TIMES, *sorted((conf_folder() / "component").glob("*.yaml"))]
+    titles = [head(metric) for metric in sorted(set(study.table["metric"]))]  # as far as this command knows
+    return {
+        "runs": runs,
+        "files": digest_of_files(read),
+        "metrics": titles,
+        "code": package_digest(),
+        "study": study.folder.name,
+        "reference": study.reference,
+        "notes": list(study.usable.notes),
+    }
+
+
+def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
+    """What a reader of the comparison on disk must know; None where a file lacks, or it is of something else."""
+    content = known_json(marker)
+    notes, written = content.pop("for_readers", None), content.pop("written", None)
+    is_whole = written and content == made_from and all((marker.parent / name).exists() for name in written)
+    return notes if is_whole else None
+
+
+def write_comparison(study: Study, title: str) -> list[str]:
+    """Write tables, figures and the report of a study; what was in its folder of comparison goes when all is written.
+
+    Returns what a reader must know, a sentence each.
+    """
+    folder, usable, reference, judged = study.folder / COMPARISON, study.usable, study.reference, study.answers
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    claims = analysis.seed_claims(study.per_image, study.scalars, reference)
+    try:
+        frames = pictures(usable.runs, reference)
+        missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
+    except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
+        frames, missing = [], [f"There are no pictures: {' '.join(str(error).split())}."]
+    figures = draw_figures(study, frames, partial)
+    notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*study.table["metric"]} - {FRAME_TIME})]
+    analysis.write_report(
+        partial / "report.html",
+        title,
+        study.per_image,
+        study.table,
+        study.paired,
+        claims=claims,
+        verdicts=judged.verdicts,
+        components=judged.components,
+        figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
+        left_out=_left_out(usable.all),
+        provenance=provenance(usable.all),
+        reference=reference,
+        notes=notes,
+        blocks=study.blocks,
+    )
+    analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
+    of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
+    (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
+    write_list(partial, study.listed)
+    tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
+    more = {"effects": judged.effects} if len(judged.effects) else {}
+    for name, content in (tables | more).items():
+        content.to_csv(partial / f"{name}.csv", index=False)
+    shutil.rmtree(folder, ignore_errors=True)
+    partial.rename(folder)
+    return [*notes, *analysis.cautions(study.per_image, reference, study.blocks)]
+
+
+def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) -> list[tuple[Path, str]]:
+    """Draw every figure for which there are numbers or pictures; returns PNGs and PDFs, each with its caption."""
+    reference, per_image, answers = study.reference, study.per_image, study.answers
+    design, means, components = answers.design, answers.means, answers.components
+    resimulated = RESIMULATION in set(per_image["variant"])
+    made: list[tuple[Path, str]] = []
+
+    def add(paths: Sequence[Path], figure: str, metrics: Sequence[str] = (), **shown: object) -> None:
+        made.extend((path, analysis.caption(figure, metrics, reference, resimulated, **shown)) for path in paths)
+
+    runs = analysis.improvements(means, design, components)
+    pairs = analysis.interactions(means, design, components)
+    drawn = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
+    add(drawn, "verdicts", design=design)
+    page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
+    for k, start in enumerate(range(0, len(frames), page)):
+        drawn = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
+        add(drawn, "qualitative", attenuation=frames[start].attenuation is not None)
+    scored = analysis.ordered_metrics(list(per_image["metric"]))
+    headline = [name for name in shown_in(Shown.headline) if name in scored]
+    for stem, metrics in {"boxplots": headline, **{f"boxplot_{name}": [name] for name in scored}}.items():
+        drawn = analysis.boxplot_panels(per_image, metrics, folder / stem, reference, study.paired, components)
+        add(drawn, "boxplots", metrics)
+    panels = shown_in(Shown.panels)
+    drawn = analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components)
+    add(drawn, "seeds", panels)
+    for k, frame in enumerate(frames):
+        drawn = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
+        add(drawn, "pchi2_maps", frame=frame.name)
+    points, floors = runtime_points(study.table)
+    if len(points):
+        machine = timed_on(study.usable.all)
+        drawn = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, machine, components)
+        add(drawn, "error_vs_runtime", list(dict.fromkeys(points["metric"])))
+    return made
+
+
+def _verdicts_in_words(verdicts: Path) -> str:
+    """The verdicts of a file, for the screen; nothing where no run goes without a component."""
+    table = pd.read_csv(verdicts)
+    shown = table[table["effect"].notna()]
+    words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
+    return f" ({', '.join(words)})" if words else ""
+
+
+def _left_out(runs: Sequence[Run]) -> list[str]:
+    """What was left out of this study, and why."""
+    try:
+        notes = list(runs[0].training.data_set.about["left_out"])
+    except (OSError, ValueError, KeyError):
+        notes = []  # the pairs have been deleted
+    told = [(str(note), run.name) for run in runs for note in run.notes]
+    for note in dict.fromkeys(note for note, _ in told):
+        names = [name for other, name in told if other == note]
+        notes.append(note if len(names) == len(runs) else f"{listed(names)}: {note}")
+    scored = {name.partition("@")[0] for run in runs for name in run.score_names}
+    unscored = [m.name for m in METRICS.values() if m.uses(FeatureKind.inception) and m.name not in scored]
+    if unscored:
+        how = "evaluation.inception=path/to/file or =download"
+        notes.append(f"{listed(unscored)}: not computed, no Inception weights were given ({how}).")
+    if not any(levels_of(run.training.identity).get("model.extra_input") == "low" for run in runs):
+        notes.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
+    return notes

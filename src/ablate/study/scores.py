@@ -1,0 +1,159 @@
+"""The scores of a training: one file a metric, known by what the values were computed with, and never changed.
+
+A metric of another version, edited code, another number of noise draws or other test frames is another score, in a file
+of its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ablate.evaluation.scorer import Scores
+from ablate.evaluation.settings import EvaluationSettings
+from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
+from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX
+from ablate.storage import remove_partial, written_whole
+from ablate.user_code import load, source_digest
+
+_METADATA = b"ablate"
+_SHORT = 8  # hexadecimal digits of digests in the names of files
+
+
+@dataclass(frozen=True)
+class ScoreKey:
+    """What a score is known by."""
+
+    metric: str  # the name that its values have
+    source: str  # `v2`, the version of the package's metrics, or the digest of the code of a user's own
+    draws: int  # renderings of a frame with other noise
+    pixels: str  # the digest of the test frames; empty where they are not known
+    asked: str = field(default="", compare=False)  # what names it in `metrics=`: its name, or a dotted path
+
+    @property
+    def file_name(self) -> str:
+        return f"{self.metric}@{self.source}-draws{self.draws}-{self.pixels[:_SHORT]}.parquet"
+
+
+@dataclass(frozen=True)
+class Score:
+    """One metric of one training.
+
+    `values` has columns frame, site, metric, value, source (`model` or `resimulation`) and split, a row for each frame
+    that has a value. `scalars` have names such as `test/psnr`, `test/floor_psnr`, `test/fd_speckle_lower` and
+    `val/psnr`. `notes` say what was left out or is wrong with the images.
+    """
+
+    values: pd.DataFrame
+    scalars: dict[str, float]
+    notes: tuple[str, ...]
+    scored: str  # when, as ISO 8601
+
+
+def names_of(asked: str | Iterable[str]) -> list[str]:
+    """Names of metrics, and paths of a user's own, behind names and sets; nothing is imported."""
+    entries = [asked] if isinstance(asked, str) else asked
+    return list(dict.fromkeys(name for entry in entries for name in METRIC_SETS.get(entry, (entry,))))
+
+
+def wanted_scores(asked: str | Iterable[str], evaluation: EvaluationSettings, pixels: str) -> tuple[ScoreKey, ...]:
+    """The scores that settings ask for.
+
+    Parameters
+    ----------
+    asked : str or iterable of str
+        As `metrics=` of the command line: names, sets, and paths of a user's own, which are imported.
+    evaluation : EvaluationSettings
+        Without `inception` no distance of Inception's features is wanted.
+    pixels : str
+        The digest of the test frames.
+    """
+    keys = []
+    for name in names_of(asked):
+        if name in METRICS:
+            metric, source = METRICS[name], f"v{METRICS_VERSION}"
+        else:
+            load(name)
+            metric, source = metric_of(_own_name(name)), source_digest(name)[:_SHORT]
+        if metric.uses(FeatureKind.inception) and evaluation.inception is None:
+            continue
+        keys.append(ScoreKey(metric.name, source, evaluation.noise_draws, pixels, asked=name))
+    return tuple(keys)
+
+
+def _own_name(path: str) -> str:
+    """The name that the values of a user's own metric have."""
+    return str(getattr(load(path), "name", path.rpartition(".")[2]))
+
+
+def by_metric(scores: Scores, keys: Iterable[ScoreKey]) -> dict[ScoreKey, Score]:
+    """What an evaluation computed, metric by metric; a metric that no frame has a value for has an empty score."""
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    found = {}
+    for key in keys:
+        values = scores.per_image[scores.per_image["metric"] == key.metric].reset_index(drop=True)
+        scalars = {name: value for name, value in scores.scalars.items() if _metric_of_scalar(name) == key.metric}
+        found[key] = Score(values, scalars, scores.notes, now)
+    return found
+
+
+def _metric_of_scalar(name: str) -> str:
+    """The metric behind `test/floor_psnr` or `val/fd_speckle_lower`."""
+    metric = name.rpartition("/")[2].removeprefix(FLOOR_PREFIX)
+    for side in BOUNDS:
+        metric = metric.removesuffix(f"_{side}")
+    return metric
+
+
+def write_score(folder: Path, key: ScoreKey, score: Score) -> None:
+    """Write a score whole; a file of the same name has the same values, and is replaced where it was damaged."""
+    folder.mkdir(exist_ok=True)
+    path = folder / key.file_name
+    remove_partial(path)
+    about = {"scalars": score.scalars, "notes": score.notes, "scored": score.scored, "pixels": key.pixels}
+    table = pa.Table.from_pandas(score.values, preserve_index=False)
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), _METADATA: json.dumps(about).encode()})
+    with written_whole(path) as partial:
+        pq.write_table(table, partial)
+
+
+def is_whole(path: Path) -> bool:
+    """Whether there is a score that can be read."""
+    try:
+        _about(pq.read_schema(path).metadata)
+    except (OSError, ValueError):  # pyarrow's are ValueErrors
+        return False
+    return True
+
+
+def read_score(path: Path) -> Score:
+    """Read a score; a ValueError that names the file where it is damaged, or holds other metrics than its name says."""
+    try:
+        table = pq.read_table(path)
+        about = _about(table.schema.metadata)
+        values = table.to_pandas()
+        metrics = set(values["metric"])
+    except (OSError, ValueError, KeyError) as error:
+        raise ValueError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
+    if metrics - {path.name.partition("@")[0]}:
+        raise ValueError(f"{path}: holds values of {', '.join(sorted(map(str, metrics)))}")
+    return Score(values, about["scalars"], tuple(about["notes"]), about["scored"])
+
+
+def _about(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:
+    """What is kept beside the values; a ValueError where it is not what a score has."""
+    about = json.loads((metadata or {}).get(_METADATA, b""))
+    kinds = {"scalars": dict, "notes": list, "scored": str}
+    if not isinstance(about, dict) or not all(isinstance(about.get(key), kind) for key, kind in kinds.items()):
+        raise ValueError("it is no score")
+    if not all(isinstance(value, int | float) for value in about["scalars"].values()):
+        raise ValueError("a scalar is no number")
+    return about

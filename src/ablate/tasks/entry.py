@@ -1,0 +1,162 @@
+"""From a command line to what is done with its jobs, through `hydra.main`."""
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import hydra
+import hydra.experimental.callback
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+import ablate
+from ablate.command.compose import CONFIG, VERSION_BASE, job_of, jobs_of, swept_keys
+from ablate.command.launch import Launch, Start, Work, start_here
+from ablate.command.refusals import in_one_line
+from ablate.command.schema import register
+from ablate.settings.conf import conf_folder
+from ablate.settings.study import ConfigurationError, Task
+from ablate.study.job import Job
+
+_OURS = ("processes", "slurm")  # launchers that are given all jobs, and compare them when they have ended
+
+register()  # on import: a launcher's process unpickles `run_one`, which imports this module, before it composes
+
+
+class NotFinishedError(RuntimeError):
+    """A job of a sweep has not finished; what stopped it was printed where it ran."""
+
+
+class _Raised(BaseException):
+    """Carries an exception of a task through Hydra, which would print it as its own."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+def execute(arguments: Sequence[str]) -> int:
+    """Do what a command line asks for, given as the words after `python -m ablate`; returns the exit code.
+
+    Hydra answers its own questions (`--help`, `--cfg job`, ...), but for `--version`. What cannot be run is a
+    ConfigurationError before anything starts.
+    """
+    if "--version" in arguments:
+        print(f"ablate {ablate.__version__}")
+        return 0
+    # Hydra documents this variable: it then raises what is wrong with a configuration instead of printing it.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    command = hydra.main(version_base=VERSION_BASE, config_path=str(conf_folder()), config_name=CONFIG)(run_one)
+    words = [word for word in arguments if not word.startswith("-")]
+    # Hydra's parser wants all of a command's overrides on one side of `-m`.
+    ordered = sorted(arguments, key=lambda word: word not in ("-m", "--multirun"))
+    with in_one_line(words):
+        before, sys.argv = sys.argv, ["ablate", *ordered]  # which `hydra.main` reads
+        try:
+            command()
+        except NotFinishedError:
+            return 1
+        except _Raised as raised:
+            error = raised.error
+        except SystemExit as end:  # `--help` of Hydra's parser, a word that it does not know, or jobs that failed
+            return end.code if isinstance(end.code, int) else int(end.code is not None)
+        else:
+            return 0
+        finally:
+            sys.argv = before
+    raise error
+
+
+def run_one(config: DictConfig) -> float | None:
+    """Hydra's task function: do the task of one job, and return its objective where one is asked for.
+
+    Without `-m` it is the whole command. Where a launcher that is not ours runs it for each job of a sweep, the study
+    is not compared: `Comparison` does this when all have ended.
+    """
+    own = HydraConfig.get()
+    is_sweep = own.mode is RunMode.MULTIRUN
+    launcher = own.runtime.choices["hydra/launcher"]
+    try:
+        if not is_sweep and any(word.startswith("hydra/launcher=") for word in _words(own, "hydra")):
+            raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
+        swept = [str(key) for key in (own.sweeper.get("swept") or own.sweeper.get("params") or ())]
+        job = job_of(_words(own, "task"), swept if is_sweep else (), config=config)
+        code = _do([job], Launch(start_here, compares=not is_sweep))
+    except Exception as error:
+        if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
+            raise
+        raise _Raised(error) from error
+    if code and is_sweep:
+        raise NotFinishedError(f"{job.name}: not finished")
+    if code:
+        raise SystemExit(code)
+    return objective(job)
+
+
+def _words(hydra_node: Any, kind: str) -> list[str]:
+    """Words of the command line as they were given: `${levels:8}` in one is resolved where the job is composed."""
+    words = OmegaConf.to_container(hydra_node.overrides[kind], resolve=False)
+    return [str(word) for word in words] if isinstance(words, list) else []
+
+
+def run_sweep(
+    master: DictConfig, job_overrides: Sequence[Sequence[str]], first_number: int, start: Start, elsewhere: bool = False
+) -> list[JobReturn]:
+    """Do the task of all jobs of a sweep, for our launchers: `start` starts those of them that are to be run.
+
+    `master` is what Hydra composed of the words that all jobs share.
+    """
+    lines = [[word for word in line if not word.startswith("hydra.")] for line in job_overrides]
+    swept, fixed = swept_keys(lines, _words(master.hydra, "task")), _words(master.hydra, "hydra")
+    made = [job_of(line, swept, fixed) for line in lines]
+
+    def start_some(jobs: Sequence[Job], work: Work) -> None:
+        numbers = [made.index(job) for job in jobs]
+        start([(made[n], job_overrides[n], first_number + n) for n in numbers], work)
+
+    launch = Launch(start_some, elsewhere, compares=made[0].settings.objective is None)
+    try:
+        code = _do(made, launch)
+    except Exception as error:
+        raise _Raised(error) from error
+    if code:
+        raise SystemExit(code)
+    returns = [JobReturn(overrides=line, status=JobStatus.COMPLETED) for line in lines]
+    for job, returned in zip(made, returns, strict=True):
+        returned.return_value = objective(job)
+    return returns
+
+
+def objective(job: Job) -> float | None:
+    """The score of a finished run that `objective=` names; None where none is asked for."""
+    name = job.settings.objective
+    if name is None or job.settings.task is not Task.study:
+        return None
+    from ablate.study.run import run_of
+
+    scalars = run_of(job).scalars if job.finished else {}
+    if name not in scalars:
+        raise ConfigurationError(f"objective={name}: {job.name} has no such score; allowed are {', '.join(scalars)}")
+    return float(scalars[name])
+
+
+def _do(jobs: Sequence[Job], launch: Launch) -> int:
+    from ablate.tasks.run_task import run_task  # heavy imports only after the command line is known to compose
+
+    return run_task(jobs, launch)
+
+
+class Comparison(hydra.experimental.callback.Callback):
+    """A callback of Hydra's: compares the study of a sweep whose jobs another launcher than ours has run."""
+
+    def on_multirun_end(self, config: DictConfig, **_: object) -> None:
+        """Compare what lies on disk when all jobs have ended."""
+        is_ours = config.hydra.runtime.choices["hydra/launcher"] in _OURS
+        if is_ours or config.objective is not None or config.task != Task.study:
+            return
+        jobs = jobs_of(["-m", *_words(config.hydra, "task"), "task=compare"])
+        if there := [job for job in jobs if job.settings.study_dir.is_dir()]:
+            _do(there, Launch(start_here))

@@ -1,0 +1,223 @@
+"""The command line: what it stands for, and how it is refused."""
+
+import math
+import os
+import shutil
+from collections import Counter
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ablate.comparison.usable_runs import levels_of
+from ablate.jobs.compose import CONFIG, VERSION_BASE, cells, job_of, jobs_of
+from ablate.jobs.schema import settings
+from ablate.runs.job import Job, not_shared
+from hydra import compose, initialize_config_dir
+
+from ablate.analysis import find_design
+from ablate.dataset import Encoding
+from ablate.networks import Family
+from ablate.settings.conf import components, conf_folder, variant_names
+from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings
+from support.studies import study_group
+
+ALIKE = "quick", "quick"  # the presets of two runs
+
+
+def test_a_sweep_is_the_product_of_its_values() -> None:
+    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", "seed=0,1"])
+    assert [job.name for job in jobs] == ["sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"]
+    assert jobs[1].settings.training.seed == 1
+    assert jobs[0].folder.parts[-3:] == ("quick-fetal", "sa2h", "seed0")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "label"),
+    [
+        (["seed=1", "training.steps=3"], "sa2h"),
+        (["model.depth=8"], "sa2h.depth-8"),
+        (["model.depth=${levels:8}"], "sa2h.depth-6"),
+        (["model.depth=${levels:8}", "preset=paper"], "sa2h.depth-8"),
+        (["model.depth=${levels:4}"], "sa2h"),
+        (["model.width=0.5"], "sa2h"),
+        (["model={depth:8,noise:inject,width:0.5}"], "sa2h.depth-8"),
+        (["model={depth:${levels:8},noise:input}"], "sa2h.depth-6.noise-input"),
+        (["variant=sa2h-depth", "model.depth=6"], "sa2h-depth"),
+        (["variant=sa2h-depth", "model.depth=8"], "sa2h-depth.depth-8"),
+        (["encoding=arbitrary", "model.noise=none"], "sa2h.encoding-arbitrary.noise-none"),
+        (["training.loss=none"], "sa2h.loss-none"),
+        (["variant=custom", "model.target=my_nets.Net", "model.attenuation=integral"], "Net.attenuation-integral"),
+        (
+            ["variant=custom", "model={target:my_nets.Net,noise:input}", "training.loss=none"],
+            "Net.loss-none.noise-input",
+        ),
+        (["variant=sa2h-gan", "training={loss:none,steps:3}"], "sa2h-gan"),
+    ],
+)
+def test_labels_name_what_differs_from_the_variant(arguments: list[str], label: str) -> None:
+    (job,) = jobs_of(arguments)
+    assert job.label == label
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["preset=tiny", "variant=nsa2h", "seed=3", "runs_dir='a,b'", "evaluation.pictures=2"],
+        ["probe=linear", "probe.depth_mm=30", "probe.width_mm=20"],
+        ["model={depth:${levels:8},noise:input}", "encoding=arbitrary", "scene.anatomy_seed=4"],
+        ["model.depth=8", "++model.depth=4"],
+        ["seed=5", "++seed=4"],
+        ["probe.depth_mm=40", "probe={depth_mm:30}"],
+        ["probe={depth_mm:40}", "probe.depth_mm=30", "probe=linear"],
+        ["training={steps:5,batch_size:2}", "training.steps=7", "model.depth=${levels:4}", "preset=laptop"],
+    ],
+)
+def test_values_given_to_a_copy_are_what_hydra_composes(words: list[str]) -> None:
+    made = [job_of([*words, f"training.batch_size={size}"]).settings for size in (1, 2)]
+    with initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE):
+        expected = [settings(compose(CONFIG, [*words, f"training.batch_size={size}"])) for size in (1, 2)]
+    assert made == expected
+
+
+def test_hydra_composes_the_files_of_a_study_once_and_not_for_each_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+    monkeypatch.setattr(
+        "ablate.jobs.compose.compose", lambda name, words, **kw: asked.append(words) or compose(name, words, **kw)
+    )
+    assert len(jobs_of(["+study=full_model", "training.l1_weight=7"])) == 52
+    assert len(asked) <= 2
+
+
+def test_a_file_of_conf_that_is_edited_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = shutil.copytree(conf_folder(), tmp_path / "conf")
+    monkeypatch.setattr("ablate.jobs.compose.conf_folder", lambda: folder)
+    assert job_of(["preset=tiny", "seed=1"]).settings.training.steps == 6
+    preset = folder / "preset" / "tiny.yaml"
+    preset.write_text(preset.read_text().replace("steps: 6", "steps: 9"))
+    os.utime(preset, ns=(1, 1))
+    assert job_of(["preset=tiny", "seed=1"]).settings.training.steps == 9
+
+
+@pytest.fixture(scope="module")
+def factorial() -> list[Job]:
+    return study_group("factorial")
+
+
+def test_no_two_cells_of_the_factorial_share_a_place(factorial: list[Job]) -> None:
+    assert len({job.folder for job in factorial}) == 32
+    assert len({job.settings.model for job in factorial}) == 32
+
+
+def test_the_factorial_of_a_preset_has_its_map_and_its_reference() -> None:
+    jobs = jobs_of(["+study=factorial", "preset=paper"])
+    assert {str(job.settings.model.attenuation) for job in jobs} == {"integral", "none"}
+    assert "sa2h" in {job.label for job in jobs}
+
+
+OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 6}
+
+
+def off(job: Job) -> set[str]:
+    """The components that a job goes without."""
+    return {name for name, value in OFF.items() if getattr(job.settings.model, name) == value}
+
+
+def test_half_of_the_factorial_tells_main_effects_and_interactions_apart(factorial: list[Job]) -> None:
+    whole = {job.label: job for job in factorial}
+    half = study_group("factorial_half")
+    assert len(half) == 16
+    assert all(whole[job.label].settings == job.settings for job in half)  # so the whole can follow the half
+    effects = [(name,) for name in OFF] + list(combinations(OFF, 2))
+    signs = np.array([[math.prod(-1 if c in off(job) else 1 for c in effect) for effect in effects] for job in half])
+    np.testing.assert_array_equal(signs.T @ signs, 16 * np.eye(len(effects)))
+
+
+def test_add_one_in_starts_from_nothing() -> None:
+    nothing, *others = study_group("add_one_in")
+    assert off(nothing) == set(OFF)
+    assert nothing.label == nothing.settings.reference
+    assert [set(OFF) - off(job) for job in others] == [{name} for name in OFF]
+    assert {job.settings.model.family for job in others} == {Family.local}
+
+
+def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
+    jobs = study_group("full_model")
+    assert len(jobs) == len({job.folder for job in jobs}) == 52
+    assert jobs[0].label == "sa2h"
+    runs = Counter((job.label.replace(".anatomy_seed-4", ""), job.settings.scene.anatomy_seed) for job in jobs)
+    assert {anatomy for _, anatomy in runs} == {3, 4}
+    assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
+    assert len(runs) == 2 * (1 + len(components())), "each component is switched off alone"
+    assert not [d for job in jobs for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed), ALIKE)]
+    orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
+    assert len(orders) == 2, "an order of the labels for each seed"
+
+
+def test_the_study_and_the_runs_beside_it_are_one_study() -> None:
+    jobs, beside = study_group("full_model"), study_group("full_model_beside")
+    assert {job.settings.study_dir for job in beside} == {jobs[0].settings.study_dir}
+    assert not [d for job in beside for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed), ALIKE)]
+    assert not {job.folder for job in jobs} & {job.folder for job in beside}
+    of_both = {job.label: levels_of(job.semantic) for job in (*jobs, *beside)}
+    factors = [*(component.key for component in components()), *(key for job in beside for key in dict(job.changed))]
+    design = find_design(of_both, factors)
+    assert design is not None
+    assert set(design.cells.index) == {job.label for job in jobs}, "those beside it take no part"
+    assert len(design.factors) == len(components())
+
+
+def test_cells_of_a_study_take_more_keys() -> None:
+    lines = cells({"variant": "sa2h", "cells": "seed=0 model={}\nseed=1 model={noise:input}"}, ["training.steps=2,3"])
+    assert lines == [
+        ["variant=sa2h", f"seed={seed}", f"model={model}", f"training.steps={steps}"]
+        for seed, model in ((0, "{}"), (1, "{noise:input}"))
+        for steps in (2, 3)
+    ]
+
+
+def test_table_2_is_the_papers_variants_and_the_one_of_depth() -> None:
+    jobs = jobs_of(["+study=table2", "preset=laptop", "seed=0,1,2"])
+    assert {job.label for job in jobs} == set(variant_names()) - {"sa2h-gan", "sa2h-compensated", "sa2h-printed"}
+    assert len(jobs) == 24
+
+
+def test_study_groups_take_seeds() -> None:
+    jobs = jobs_of(["+study=leave_one_out", "seed=0,1,2"])
+    assert len(jobs) == 6 * 3
+
+
+def test_the_two_orders_of_the_labels_are_compared_in_a_study_of_their_own() -> None:
+    jobs = study_group("encoding")
+    assert {job.settings.encoding for job in jobs} == {Encoding.echogenicity, Encoding.arbitrary}
+    assert {job.settings.study for job in jobs} == {"encoding"}
+    assert jobs[0].settings.reference in {job.label for job in jobs}
+
+
+def test_a_folder_names_its_study() -> None:
+    (job,) = jobs_of(["scene=folder", "scene.folder=some/where/patient7", "preset=quick"])
+    assert job.settings.study == "quick-patient7"
+    (job,) = jobs_of(["study_name=mine", "runs_dir=/elsewhere"])
+    assert str(job.settings.study_dir) == "/elsewhere/mine"
+
+
+@pytest.mark.parametrize(
+    ("folder", "study"),
+    [("o'neill", "quick-o_neill"), ("what? 100%20", "quick-what_ 100_20"), (200 * "ø", "quick-" + 50 * "ø")],
+)
+def test_a_folder_of_any_name_gives_the_name_of_a_study(folder: str, study: str) -> None:
+    assert StudySettings(preset="quick", scene=SceneSettings(SceneKind.folder, f"some/{folder}")).study == study
+
+
+def test_a_users_variant_may_not_have_the_name_of_another_folder(tmp_path: Path) -> None:
+    (tmp_path / "variant").mkdir()
+    for file, variant in (("mine", "comparison"), ("other", "a/b"), ("good", "comparisons")):
+        text = f"# @package _global_\ndefaults:\n  - sa2h\nvariant: {variant}\n"
+        (tmp_path / "variant" / f"{file}.yaml").write_text(text)
+    path = f"hydra.searchpath=[file://{tmp_path}]"
+    for arguments in (["variant=mine"], ["variant=mine", "model.depth=8"]):
+        with pytest.raises(ConfigurationError, match=r"^variant=comparison.*: the names comparison are taken"):
+            jobs_of([path, *arguments])
+    with pytest.raises(ConfigurationError, match=r"^variant='a/b': allowed are at most 200 letters"):
+        jobs_of([path, "variant=other"])
+    assert jobs_of([path, "variant=good"])[0].label == "comparisons"

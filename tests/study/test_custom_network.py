@@ -1,0 +1,79 @@
+"""A class of the user's is trained, scored and compared as a variant, by one command."""
+
+import re
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from ablate.jobs.compose import jobs_of
+from ablate.runs.train import run_job
+
+from ablate.settings.study import ConfigurationError
+from ablate.storage import read_json
+from ablate.training import load_generator
+from support.studies import run
+
+TOY = """
+from torch import nn
+
+class Toy(nn.Sequential):
+    def __init__(self, channels):
+        super().__init__(nn.Conv2d(channels, 8, 3, padding=1), nn.ReLU(), nn.Conv2d(8, 1, 3, padding=1), nn.Tanh())
+"""
+
+
+def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = tmp_path / "toy_networks.py"
+    module.write_text(TOY)
+    monkeypatch.syspath_prepend(tmp_path)
+    sizes = ["preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10", "metrics=[psnr,mae]"]
+    sizes += ["training.steps=2", f"runs_dir={tmp_path / 'runs'}"]
+    assert run(*sizes, "variant=custom", "model.target=toy_networks.Toy") == 0
+    study = tmp_path / "runs/tiny-fetal"
+    known = read_json(study / "Toy/seed0/spec.json")["semantic"]["model"]
+    assert known["target"] == "toy_networks.Toy"
+    assert len(known["source"]) == 64
+    # weights and biases of its two convolutions: S and A in
+    assert read_json(study / "Toy/seed0/result.json")["scalars"]["parameters_generator"] == 7 * 8 * 9 + 8 + 8 * 9 + 1
+    assert set(pd.read_csv(study / "comparison/table.csv")["variant"]) >= {"Toy"}
+
+    module.write_text(
+        TOY.replace("Conv2d(8, 1, 3", "Conv2d(8, 1, 5").replace("padding=1), nn.Tanh", "padding=2), nn.Tanh")
+    )
+    (begun,) = jobs_of([*sizes, "variant=custom", "model.target=toy_networks.Toy", "seed=1"])
+    assert begun.semantic["model"] == known
+    trained = study / "Toy/seed0/last.ckpt"
+    assert load_generator(trained).spec.target == "toy_networks.Toy"
+    monkeypatch.delitem(sys.modules, "toy_networks")
+    with pytest.raises(ConfigurationError, match=r"toy_networks\.Toy: edited since the sweep began; repeat"):
+        run_job(begun)
+    with pytest.raises(ValueError, match=r"last\.ckpt: the code of toy_networks\.Toy is not that of the training"):
+        load_generator(trained)
+    with pytest.raises(ConfigurationError, match=r"holds another configuration \(model.source: "):
+        run(*sizes, "variant=custom", "model.target=toy_networks.Toy")
+
+
+def test_a_class_that_does_not_work_is_refused_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = "    def forward(self, maps):\n        return super().forward(maps)"
+    refused = {
+        "toy_smaller": (TOY.replace("8, 1, 3, padding=1", "8, 1, 3"), "returns (2, 1, "),
+        "toy_lazy": (TOY.replace("Conv2d(channels, 8", "LazyConv2d(8"), "has parameters without a size"),
+        "toy_apart": (f"{TOY}{step}.detach()\n", "returns an image that does not depend on its parameters"),
+        "toy_double": (f"{TOY}{step}.double()\n", "returns torch.float64, allowed are float32"),
+        "toy_nan": (f"{TOY}{step} / 0 * 0\n", "returns numbers that are not finite"),
+        "toy_single": (f"{TOY}{step}.reshape(1, 1, *maps.shape[2:])\n", "two images of"),
+        "nowhere": (None, "ModuleNotFoundError"),
+    }
+    monkeypatch.syspath_prepend(tmp_path)
+    runs = tmp_path / "runs"
+    for name, (code, message) in refused.items():
+        if code:
+            (tmp_path / f"{name}.py").write_text(code)
+        with pytest.raises(ConfigurationError, match=f"^{re.escape(f'model.target={name}.Toy: {message}')}"):
+            run("preset=tiny", "variant=custom", f"model.target={name}.Toy", f"runs_dir={runs}")
+    with pytest.raises(ConfigurationError, match="target=None with family=custom"):
+        run("preset=tiny", "variant=custom", f"runs_dir={runs}")
+    assert not list(runs.rglob("*.json"))

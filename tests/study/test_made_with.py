@@ -1,0 +1,166 @@
+"""What a run was made with is kept of every start, so that one that went on with other code can be told."""
+
+import json
+import logging
+import re
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from ablate.jobs.compose import jobs_of
+from ablate.runs.job import Job
+from ablate.runs.train import logged, write_provenance
+from ablate.tracking import LocalLog, Status
+
+from ablate import tracking
+from ablate.storage import write_json
+from support.finished_runs import result_of
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Job:
+    (made,) = jobs_of([f"runs_dir={tmp_path}", "training.threads=1"])
+    made.folder.mkdir(parents=True)
+    return made
+
+
+def code(monkeypatch: pytest.MonkeyPatch, commit: str, diff: str = "") -> None:
+    """The repository is at this commit, with these changes."""
+    state = {"git_commit": commit, "git_dirty": str(bool(diff)).lower(), "git_diff": diff}
+    monkeypatch.setattr(tracking, "git_state", lambda: dict(state))
+
+
+def stored(job: Job, name: str) -> Any:
+    return json.loads((job.folder / "provenance" / name).read_text())
+
+
+def stopped_at(job: Job, step: int) -> None:
+    torch.save({"steps_done": step}, job.folder / "last.ckpt")
+
+
+def test_every_start_is_listed_and_the_report_names_all_commits(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        code(monkeypatch, "aaa", "+one\n")
+        write_provenance(job)
+        stopped_at(job, 40)
+        write_provenance(job)
+        assert not caplog.messages, "the same code"
+        code(monkeypatch, "bbb")
+        (again,) = jobs_of([f"runs_dir={job.settings.results}", "training.threads=2"])
+        stopped_at(job, 60)
+        write_provenance(again)
+    (warning,) = caplog.messages
+    assert warning.startswith("step 60: training goes on with other code or hardware (git_commit aaa, now bbb")
+    assert "threads 1, now 2" in warning
+    starts = stored(job, "starts.json")["starts"]
+    assert [(s["git_commit"], s["step"], s["threads"]) for s in starts] == [
+        ("aaa", 0, 1),
+        ("aaa", 40, 1),
+        ("bbb", 60, 2),
+    ]
+    assert ["git_diff" in s for s in starts] == [True, True, False]
+    about = stored(job, "made_with.json")
+    assert (about["git_commit"], about["git_dirty"], about["threads"]) == ("aaa, bbb", "true", "1, 2")
+    assert about["torch"].partition("+")[0] == torch.__version__.partition("+")[0]  # 2.13.0, of whatever build
+    assert job.run.made_with["git_commit"] == "aaa, bbb"
+
+
+def test_a_change_of_uncommitted_code_alone_is_told(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for diff in ("+one\n", "+two\n"):
+        code(monkeypatch, "aaa", diff)
+        write_provenance(job)
+        stopped_at(job, 40)
+    assert "step 40: training goes on with other code or hardware (git_diff" in caplog.text
+    kept = sorted((job.folder / "provenance").glob("uncommitted*.diff"))
+    assert {path.read_text() for path in kept} == {"+one\n", "+two\n"}
+    assert (job.folder / "provenance" / "uncommitted.diff").read_text() == "+two\n"
+
+
+def test_changed_code_is_told_where_the_package_lies_in_no_repository(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    package = tmp_path / "site-packages" / "ablate"
+    (package / "training").mkdir(parents=True)
+    monkeypatch.setattr(tracking, "git_state", lambda: {})
+    monkeypatch.setattr(tracking, "source_digest", partial(tracking.source_digest, package))
+    for line in ("LOSS = 1\n", "LOSS = 1\n", "LOSS = 2\n"):
+        assert not caplog.messages
+        (package / "training" / "module.py").write_text(line)
+        write_provenance(job)
+        stopped_at(job, 40)
+    assert "step 40: training goes on with other code or hardware (source " in caplog.text
+
+
+def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    code(monkeypatch, "aaa")
+    write_provenance(job)
+    stopped_at(job, 60)
+    write_json(job.folder / "result.json", result_of(job))
+    code(monkeypatch, "bbb")
+    write_provenance(job)
+    assert not caplog.messages
+    assert stored(job, "made_with.json")["git_commit"] == "aaa, bbb"
+
+
+def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    (minimal,) = jobs_of([f"runs_dir={job.settings.results}", "tracking.provenance=minimal"])
+    assert minimal.hash == job.hash
+    for diff in ("+canary one\n", "+canary two\n"):
+        code(monkeypatch, "aaa", diff)
+        write_provenance(job)
+    monkeypatch.setattr(tracking, "environment", lambda: "canary==1\n")
+    write_provenance(job)
+    write_provenance(minimal)
+    files = {path.name: path.read_text() for path in (job.folder / "provenance").iterdir()}
+    assert files.keys() == {"config.json", "made_with.json", "starts.json"}
+    assert not any("canary" in text for text in files.values())
+    assert job.run.starts[-1]["git_commit"] == "aaa"
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_a_run_has_a_log_with_times_and_levels(job: Job, quiet: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    (job,) = jobs_of([f"runs_dir={job.settings.results}", *(["verbose=quiet"] if quiet else [])])
+    try:
+        with suppress(KeyboardInterrupt), logged(job):
+            logging.getLogger("ablate.training").info("step 1 of 2")
+            logging.getLogger("ablate.training").info("step 2 of 2", extra={"in_bar": True})
+            logging.getLogger("ablate.training").warning("bad")
+            logging.getLogger("matplotlib").info("of a library")
+            raise KeyboardInterrupt("Ctrl-C\n of somebody")
+        logging.getLogger("ablate.comparison").warning("of no run")
+    finally:
+        logging.basicConfig(handlers=[], force=True)
+    printed = capsys.readouterr().err.replace(f"{job.name}: ", "").splitlines()
+    assert printed == [*([] if quiet else ["step 1 of 2"]), "bad", "of no run"], "a bar shows the second step"
+    first, second, third, last = (job.folder / "log.txt").read_text().splitlines()
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO ablate.training: step 1 of 2", first)
+    assert second.endswith(" INFO ablate.training: step 2 of 2")
+    assert third.endswith(" WARNING ablate.training: bad")
+    assert last.endswith(" ERROR ablate.runs.train: stopped by KeyboardInterrupt: Ctrl-C of somebody")
+
+
+def test_a_training_that_begins_again_says_that_curves_of_the_earlier_start_stay(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    code(monkeypatch, "aaa")
+    log = LocalLog(job.folder)
+    log.status(Status.running)
+    write_provenance(job)
+    assert not caplog.messages, "an earlier start logged no value"
+    log.metrics({"train/l1": 0.5}, 2)
+    write_provenance(job)
+    assert caplog.messages == [
+        "training begins again at step 0; curves and pictures of the earlier start stay as they are"
+    ]
+    stopped_at(job, 40)
+    write_provenance(job)
+    assert len(caplog.messages) == 1

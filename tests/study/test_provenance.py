@@ -1,0 +1,76 @@
+"""Provenance tells commit and state of the checkout, the environment and the hardware."""
+
+import subprocess
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ablate.tracking import git_state, packages, source_digest
+
+
+def git(folder: Path, *arguments: str) -> str:
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    command = ["git", "-C", str(folder), *identity, *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def repository(root: Path, place: str, name: str) -> Path:
+    """A repository of a project with this name, which has the package in a folder; returns the package."""
+    package = root / place / "ablate"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (root / "pyproject.toml").write_text(f'[project]\nname = "{name}"\n')
+    git(root, "init")
+    return package
+
+
+def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
+    package = repository(tmp_path, "src", "ablate-ultrasound")
+    assert git_state(package) == {}, "without a commit"
+    (package / "a").write_text("one\n")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-m", "first")
+    clean = git_state(package)
+    assert clean == {"git_commit": git(tmp_path, "rev-parse", "HEAD").strip(), "git_dirty": "false", "git_diff": ""}
+    (package / "a").write_bytes(b"two \xe9\n")  # Latin-1
+    dirty = git_state(package)
+    assert dirty["git_dirty"] == "true"
+    assert "+two" in dirty["git_diff"]
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "committed"),
+    [
+        (".venv/lib/python3.11/site-packages", "thesis", False),
+        (".venv/lib/python3.11/site-packages", "ablate-ultrasound", True),
+        ("src", "thesis", True),
+        ("src", "ablate-ultrasound", False),
+        ("src", "ablate", True),
+    ],
+)
+def test_another_repository_tells_nothing(tmp_path: Path, place: str, name: str, committed: bool) -> None:
+    package = repository(tmp_path, place, name)
+    (tmp_path / "secret.txt").write_text("one\n")
+    git(tmp_path, "add", *(["."] if committed else ["secret.txt"]))
+    git(tmp_path, "commit", "-m", "first")
+    (tmp_path / "secret.txt").write_text("two\n")
+    assert git_state(package) == {}
+
+
+def test_packages_are_those_that_the_project_names() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    versions = packages()
+    assert list(versions)[:2] == ["python", project["name"]]
+    assert len(versions) == 2 + len(project["dependencies"])
+    assert versions["numpy"] == np.__version__
+
+
+@pytest.mark.parametrize("name", ["code.py", "tissues.csv", "captions.jinja", "house.mplstyle"])
+def test_the_digest_of_the_source_knows_tables_and_templates(tmp_path: Path, name: str) -> None:
+    (tmp_path / "deep").mkdir()
+    changed = tmp_path / "deep" / name
+    changed.write_text("1")
+    before = source_digest(tmp_path)
+    changed.write_text("2")
+    assert source_digest(tmp_path) != before
