@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from ablate.jobs.compose import composed
-from ablate.jobs.refusals import in_one_line
-from ablate.jobs.schema import settings as settings_of_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.__main__ import main
+from ablate.command.compose import composed
+from ablate.command.refusals import in_one_line
+from ablate.command.schema import settings as settings_of_config
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings
@@ -55,8 +55,8 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         assert (line[:8], newline, rest) == ("ablate: ", "\n", ""), printed.err
         return line[8:]
 
-    monkeypatch.setattr("ablate.tasks.command.start_here", starts)
-    monkeypatch.setattr("ablate.jobs.launch._start", starts)
+    monkeypatch.setattr("ablate.tasks.entry.start_here", starts)
+    monkeypatch.setattr("ablate.command.launch._start", starts)
     monkeypatch.chdir(tmp_path)
     return call
 

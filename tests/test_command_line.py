@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ablate.jobs.launch import Launch
-from ablate.runs.job import Job
-from ablate.tasks.command import execute
 
 import ablate
 from ablate.__main__ import main
+from ablate.command.launch import Launch
 from ablate.settings.study import TrackingSettings
+from ablate.study.job import Job
+from ablate.tasks.entry import execute
 
 
 def only_line(out: str, error: str, runs: Path) -> str:
@@ -38,7 +38,7 @@ def test_a_process_ends_with_one_line_and_exit_code_2(tmp_path: Path) -> None:
 def test_a_command_line_is_checked_without_what_runs_it() -> None:
     """Neither the settings nor the composition of a sweep load what a job needs."""
     code = (
-        "import sys; import ablate.tasks.command; from ablate.jobs.compose import jobs_of;"
+        "import sys; import ablate.tasks.entry; from ablate.command.compose import jobs_of;"
         "assert len(jobs_of(['-m', 'variant=sa2h,nsa2h', 'seed=0,1'])) == 4;"
         "print(sorted({name.partition('.')[0] for name in sys.modules}))"
     )

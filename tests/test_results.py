@@ -11,13 +11,13 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
 
 from ablate import open_study
 from ablate.metrics import METRICS
 from ablate.settings.conf import components
 from ablate.storage import digest, write_json
+from ablate.study.job import Job
 from support.finished_runs import result_of
 from support.studies import study_group
 

@@ -1,35 +1,29 @@
 """The command line: what it stands for, and how it is refused."""
 
 import math
-import os
-import shutil
 from collections import Counter
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ablate.comparison.usable_runs import levels_of
-from ablate.jobs.compose import CONFIG, VERSION_BASE, cells, job_of, jobs_of
-from ablate.jobs.schema import settings
-from ablate.runs.job import Job, not_shared
-from hydra import compose, initialize_config_dir
 
 from ablate.analysis import find_design
+from ablate.command.compose import cells, jobs_of, without_repetitions
 from ablate.dataset import Encoding
 from ablate.networks import Family
-from ablate.settings.conf import components, conf_folder, variant_names
-from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings
+from ablate.settings.conf import components, variant_names
+from ablate.settings.study import ConfigurationError, SceneSettings, StudySettings
+from ablate.study.comparable import levels_of, untold_differences
+from ablate.study.job import Job
 from support.studies import study_group
-
-ALIKE = "quick", "quick"  # the presets of two runs
 
 
 def test_a_sweep_is_the_product_of_its_values() -> None:
     jobs = jobs_of(["-m", "variant=sa2h,nsa2h", "seed=0,1"])
     assert [job.name for job in jobs] == ["sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"]
     assert jobs[1].settings.training.seed == 1
-    assert jobs[0].folder.parts[-3:] == ("quick-fetal", "sa2h", "seed0")
+    assert jobs[0].folder.parts[-2:] == ("quick-fetal", f"sa2h-seed0-{jobs[0].hash[:8]}")
 
 
 @pytest.mark.parametrize(
@@ -58,45 +52,6 @@ def test_a_sweep_is_the_product_of_its_values() -> None:
 def test_labels_name_what_differs_from_the_variant(arguments: list[str], label: str) -> None:
     (job,) = jobs_of(arguments)
     assert job.label == label
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["preset=tiny", "variant=nsa2h", "seed=3", "runs_dir='a,b'", "evaluation.pictures=2"],
-        ["probe=linear", "probe.depth_mm=30", "probe.width_mm=20"],
-        ["model={depth:${levels:8},noise:input}", "encoding=arbitrary", "scene.anatomy_seed=4"],
-        ["model.depth=8", "++model.depth=4"],
-        ["seed=5", "++seed=4"],
-        ["probe.depth_mm=40", "probe={depth_mm:30}"],
-        ["probe={depth_mm:40}", "probe.depth_mm=30", "probe=linear"],
-        ["training={steps:5,batch_size:2}", "training.steps=7", "model.depth=${levels:4}", "preset=laptop"],
-    ],
-)
-def test_values_given_to_a_copy_are_what_hydra_composes(words: list[str]) -> None:
-    made = [job_of([*words, f"training.batch_size={size}"]).settings for size in (1, 2)]
-    with initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE):
-        expected = [settings(compose(CONFIG, [*words, f"training.batch_size={size}"])) for size in (1, 2)]
-    assert made == expected
-
-
-def test_hydra_composes_the_files_of_a_study_once_and_not_for_each_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[list[str]] = []
-    monkeypatch.setattr(
-        "ablate.jobs.compose.compose", lambda name, words, **kw: asked.append(words) or compose(name, words, **kw)
-    )
-    assert len(jobs_of(["+study=full_model", "training.l1_weight=7"])) == 52
-    assert len(asked) <= 2
-
-
-def test_a_file_of_conf_that_is_edited_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = shutil.copytree(conf_folder(), tmp_path / "conf")
-    monkeypatch.setattr("ablate.jobs.compose.conf_folder", lambda: folder)
-    assert job_of(["preset=tiny", "seed=1"]).settings.training.steps == 6
-    preset = folder / "preset" / "tiny.yaml"
-    preset.write_text(preset.read_text().replace("steps: 6", "steps: 9"))
-    os.utime(preset, ns=(1, 1))
-    assert job_of(["preset=tiny", "seed=1"]).settings.training.steps == 9
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +104,7 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
     assert {anatomy for _, anatomy in runs} == {3, 4}
     assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
     assert len(runs) == 2 * (1 + len(components())), "each component is switched off alone"
-    assert not [d for job in jobs for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed), ALIKE)]
+    assert not untold_differences(jobs, "sa2h")
     orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
     assert len(orders) == 2, "an order of the labels for each seed"
 
@@ -157,9 +112,9 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
 def test_the_study_and_the_runs_beside_it_are_one_study() -> None:
     jobs, beside = study_group("full_model"), study_group("full_model_beside")
     assert {job.settings.study_dir for job in beside} == {jobs[0].settings.study_dir}
-    assert not [d for job in beside for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed), ALIKE)]
+    assert not untold_differences([*jobs, *beside], "sa2h")
     assert not {job.folder for job in jobs} & {job.folder for job in beside}
-    of_both = {job.label: levels_of(job.semantic) for job in (*jobs, *beside)}
+    of_both = {job.label: levels_of(job.identity) for job in (*jobs, *beside)}
     factors = [*(component.key for component in components()), *(key for job in beside for key in dict(job.changed))]
     design = find_design(of_both, factors)
     assert design is not None
@@ -206,18 +161,25 @@ def test_a_folder_names_its_study() -> None:
     [("o'neill", "quick-o_neill"), ("what? 100%20", "quick-what_ 100_20"), (200 * "ø", "quick-" + 50 * "ø")],
 )
 def test_a_folder_of_any_name_gives_the_name_of_a_study(folder: str, study: str) -> None:
-    assert StudySettings(preset="quick", scene=SceneSettings(SceneKind.folder, f"some/{folder}")).study == study
+    assert StudySettings(preset="quick", scene=SceneSettings("folder", f"some/{folder}")).study == study
 
 
-def test_a_users_variant_may_not_have_the_name_of_another_folder(tmp_path: Path) -> None:
+def test_a_users_variant_has_a_name_that_a_folder_can_have(tmp_path: Path) -> None:
     (tmp_path / "variant").mkdir()
-    for file, variant in (("mine", "comparison"), ("other", "a/b"), ("good", "comparisons")):
+    for file, variant in (("mine", "comparison"), ("other", "a/b")):
         text = f"# @package _global_\ndefaults:\n  - sa2h\nvariant: {variant}\n"
         (tmp_path / "variant" / f"{file}.yaml").write_text(text)
     path = f"hydra.searchpath=[file://{tmp_path}]"
-    for arguments in (["variant=mine"], ["variant=mine", "model.depth=8"]):
-        with pytest.raises(ConfigurationError, match=r"^variant=comparison.*: the names comparison are taken"):
-            jobs_of([path, *arguments])
     with pytest.raises(ConfigurationError, match=r"^variant='a/b': allowed are at most 200 letters"):
         jobs_of([path, "variant=other"])
-    assert jobs_of([path, "variant=good"])[0].label == "comparisons"
+    assert jobs_of([path, "variant=mine"])[0].folder.name.startswith("comparison-seed0-"), "no folder of another"
+
+
+def test_two_trainings_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("first_nets", "second_nets"):
+        (tmp_path / f"{name}.py").write_text("class Net: ...\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    jobs = jobs_of(["-m", "variant=custom", "model.target=first_nets.Net,second_nets.Net"])
+    with pytest.raises(ConfigurationError, match=r"called Net/seed0 and differ in model\.source, model\.target"):
+        without_repetitions(jobs)
+    assert len(without_repetitions(jobs[:1] * 2)) == 1

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.describe import described, description
 from skimage.io import imsave
 
 from ablate.anatomy import validate_scene_folder
+from ablate.command.compose import jobs_of
+from ablate.command.describe import described, description
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.run_task import describe

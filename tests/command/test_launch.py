@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, start_here
-from ablate.runs.job import Job
-from ablate.tasks.command import execute
 
+from ablate.command.compose import jobs_of
+from ablate.command.launch import VISIBLE, Launch, devices_to_share, start_here
 from ablate.settings.study import ConfigurationError, Task
+from ablate.study.job import Job
 from ablate.tasks import command
+from ablate.tasks.entry import execute
 from ablate.training import DivergenceError
 
 Work = Callable[[Job], object]
@@ -234,7 +234,7 @@ def test_each_study_of_a_sweep_is_compared_when_another_launcher_has_ended(
     for study in ("one", "two"):
         (tmp_path / "runs" / study).mkdir(parents=True)
     monkeypatch.setattr(
-        "ablate.tasks.command._do",
+        "ablate.tasks.entry._do",
         lambda jobs, _: done.append([(job.settings.study, job.settings.task) for job in jobs]),
     )
     line = ["-m", "preset=tiny", "study_name=one,two", "hydra/launcher=basic", f"runs_dir={tmp_path / 'runs'}"]

@@ -5,12 +5,12 @@ from math import asin, degrees
 from typing import Any
 
 import pytest
-from ablate.jobs.compose import jobs_of
-from ablate.runs.simulated import about_simulated
 
+from ablate.command.compose import jobs_of
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
+from ablate.sources.simulated import about_simulated
 from ablate.ultrasound import ConvexProbe, LinearProbe, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ablate.jobs.compose import job_of, jobs_of
-from ablate.jobs.scale import PAPER_ROWS, crop, levels, paper_levels
 from skimage.io import imsave
 
+from ablate.command.compose import job_of, jobs_of
+from ablate.command.scale import PAPER_ROWS, crop, levels, paper_levels
 from ablate.networks import receptive_field
 
 LOCAL, UNET = 4, 8  # levels in the paper's frame

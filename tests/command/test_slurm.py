@@ -5,16 +5,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from ablate.jobs.compose import composed, jobs_of
-from ablate.jobs.launch import Launch
-from ablate.jobs.slurm import queued, wait_for
-from ablate.runs.job import Job
-from ablate.tasks.command import execute
 from hydra.utils import instantiate
 
+from ablate.command.compose import composed, jobs_of
+from ablate.command.launch import Launch
+from ablate.command.slurm import queued, wait_for
 from ablate.settings.study import ConfigurationError
+from ablate.study.job import Job
 from ablate.tasks import command as program
 from ablate.tasks import run_task as tasks
+from ablate.tasks.entry import execute
 from hydra_plugins.ablate_plugins import QueueLauncher
 from support.studies import here
 
@@ -106,7 +106,7 @@ def test_a_job_that_the_queue_does_not_list_has_ended(command: Command, tmp_path
 def test_a_killed_job_is_waited_for_and_is_no_error(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ablate.jobs.slurm.time.sleep", lambda _: None)
+    monkeypatch.setattr("ablate.command.slurm.time.sleep", lambda _: None)
     asked = tmp_path / "asked"
     command("srun", "exit 1")
     command("sbatch", "echo Submitted batch job 7")

@@ -5,8 +5,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from ablate.jobs.compose import jobs_of
 
+from ablate.command.compose import jobs_of
 from ablate.metrics import METRICS
 from ablate.networks import GeneratorSpec
 from ablate.settings import conf

@@ -12,17 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.preflight import check
-from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed
-from ablate.runs.job import Job
 from ablate.runs.place import finished_run
-from ablate.runs.prepare import prepare_data
 from ablate.runs.run import State
 from ablate.runs.train import run_job, scorer
 
 from ablate.anatomy import load_tissues
+from ablate.command.checks import check
+from ablate.command.compose import jobs_of
 from ablate.dataset import Part
 from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
 from ablate.evaluation.scorer import not_computed
@@ -39,7 +35,11 @@ from ablate.metrics import (
     speckle_features,
 )
 from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.sources.data_set import DataSet as Data
+from ablate.sources.data_set import maps_needed
+from ablate.sources.prepare import prepare_data
 from ablate.storage import write_json
+from ablate.study.job import Job
 from ablate.threads import torch_threads
 
 TINY = ["preset=tiny", "simulator.image_shape=[512,710]", "dataset.test=0.4", "training.steps=2", "training.crop=32"]

@@ -13,12 +13,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
 from ablate.tracking import default_uri
 from mlflow import MlflowClient
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import Part, label_values, network_inputs
 from ablate.metrics import mae, psnr
 from ablate.networks import Space
@@ -27,6 +26,7 @@ from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
 from ablate.settings.study import ConfigurationError
+from ablate.sources.simulated import build_scene
 from ablate.storage import digest
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter

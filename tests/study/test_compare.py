@@ -1,29 +1,30 @@
 """What a comparison makes of a study that is whole, and of one that is not: words, never a traceback."""
 
-import json
 import shutil
-import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
-from ablate.comparison.compare import compare_study, write_comparison
-from ablate.comparison.frame_times import TIMES, network_of, timed_on
-from ablate.comparison.opened import Study
-from ablate.comparison.reading import pictures
-from ablate.comparison.usable_runs import levels_of, usable_runs
-from ablate.runs.run import Run, runs_of
 
 import ablate
 from ablate.analysis import RESIMULATION, find_design
-from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
+from ablate.evaluation import Scores
+from ablate.metrics import metric_of
 from ablate.settings.conf import components
-from ablate.settings.study import ConfigurationError, StudySettings
-from ablate.storage import digest
-from support.finished_runs import WHOLE, timed
+from ablate.settings.study import ConfigurationError
+from ablate.storage import digest, read_json, write_json
+from ablate.study.comparable import comparable_runs, levels_of
+from ablate.study.compare import compare_study, write_comparison
+from ablate.study.frame_times import TIMES, network_of, timed_on
+from ablate.study.opened import Study
+from ablate.study.reading import pictures
+from ablate.study.run import Run, RunList, read_list, write_list
+from ablate.study.scores import ScoreKey, by_metric, read_score, write_score
+from ablate.study.training import Training
+from support.finished_runs import PIXELS, WHOLE, timed
 from support.studies import Unrendered, study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
@@ -37,15 +38,33 @@ VARIANTS = {
 FRAMES, SITES = 24, 8
 FACTORS = [component.key for component in components()]
 METRICS = ("psnr", "mae", "pchi2", str(components()[0].metric))  # the last one is what `att` is judged by
+SCALARS = {"test/fd_speckle_lower": 2.0, "test/floor_fd_speckle": 0.1, "test/floor_psnr": 22.0}
 
 
-def write_run(
-    study: Path, label: str, seed: int, data: str = "fetal-0", frames: int = FRAMES, anatomy: int = 0
-) -> Path:
-    """A finished run without its training."""
+def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames: int = FRAMES, anatomy: int = 0) -> Run:
+    """A finished training without the training, its scores, and its place in the list of the study."""
     rng = np.random.default_rng([seed, *label.encode()])
-    folder = study / label / f"seed{seed}"
-    folder.mkdir(parents=True)
+    identity = {
+        "model": MODEL | VARIANTS.get(label.partition(".")[0], {}),
+        "encoding": {"order": "arbitrary" if ".encoding" in label else "echogenicity"},
+        "data": {"scene": {"anatomy_seed": anatomy}, "dataset": {"frames": frames}},
+        "training": {
+            "steps": 9,
+            "seed": seed,
+            "loss": "none" if label.startswith("sa2h-gan") else "nonsaturating",
+            "precision": "fp32",
+        },
+        "seed": seed,
+    }
+    hash_ = digest(identity)
+    training = Training(study / f"{label}-seed{seed}-{hash_[:8]}")
+    training.folder.mkdir(parents=True)
+    settings = {"model": identity["model"], "seed": seed}
+    about = {"label": label, "seed": seed, "changed": {}, "identity": identity, "settings": settings, "data": data}
+    write_json(training.folder / "training.json", {**about, "hash": hash_})
+    sizes = {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
+    notes = ["FID: no Inception weights were given."]
+    training.write_result({**WHOLE, "scalars": sizes, "notes": notes})
     rows = [
         {"frame": f, "site": f % SITES, "metric": m, "source": source, "split": split, "value": 20 + k + rng.normal()}
         for k, m in enumerate(METRICS)
@@ -53,29 +72,33 @@ def write_run(
         for split in ("test", "validation")
         for f in range(frames)
     ]
-    pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
-    model = MODEL | VARIANTS.get(label.partition(".")[0], {})
-    encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
-    pairs = {"scene": {"anatomy_seed": anatomy}, "dataset": {"frames": frames}}
-    loss = "none" if label.startswith("sa2h-gan") else "nonsaturating"
-    training = {"steps": 9, "seed": seed, "loss": loss}
-    semantic = {"model": model, "encoding": encoding, "data": pairs, "training": training, "seed": seed}
-    spec = {"label": label, "hash": digest(semantic), "changed": {}, "semantic": semantic}
-    (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model, "seed": seed}}))
-    scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
-    scalars |= {"test/floor_fd_speckle": 0.1, "test/psnr": 20.0, "test/floor_psnr": 22.0}
-    scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
-    result = {**WHOLE, "hash": spec["hash"], "label": label, "seed": seed, "data": data, "scalars": scalars}
-    notes = ["FID: no Inception weights were given."]
-    (folder / "result.json").write_text(json.dumps({**result, "notes": notes}))
-    return folder
+    scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_upper": 5.0 + seed, "test/psnr": 20 + rng.normal()}
+    keys = [ScoreKey(metric, "v2", 3, PIXELS) for metric in (*METRICS, "fd_speckle")]
+    for key, score in by_metric(Scores(pd.DataFrame(rows), SCALARS | scalars), keys).items():
+        write_score(training.scores, key, score)
+    run = Run(Training(training.folder), label, {}, tuple(key.file_name for key in keys))
+    listed(study, *(one for one in read_list(study).runs if one.name != run.name), run)
+    return run
+
+
+def listed(study: Path, *runs: Run, reference: str = "sa2h") -> RunList:
+    """The list of a study, kept in its folder as a comparison keeps it."""
+    (study / "comparison").mkdir(exist_ok=True)
+    asked = RunList(study, runs, (), reference)
+    write_list(study / "comparison", asked)
+    return asked
+
+
+def run_in(study: Path, label: str, seed: int) -> Run:
+    (run,) = [run for run in read_list(study).runs if run.name == f"{label}/seed{seed}"]
+    return run
 
 
 @pytest.fixture(autouse=True)
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """No figure is drawn but where a test asks for them, and then none is rendered: tests/analysis looks at them."""
     if "figures" not in request.fixturenames:
-        monkeypatch.setattr("ablate.comparison.compare.draw_figures", lambda *_: [])
+        monkeypatch.setattr("ablate.study.compare.draw_figures", lambda *_: [])
 
 
 @pytest.fixture
@@ -89,7 +112,7 @@ def study(tmp_path: Path) -> Path:
     for label in VARIANTS:
         for seed in (0, 1, 2):
             write_run(folder, label, seed)
-    networks = {run.label: network_of(run.spec["semantic"]) for run in runs_of(folder)}
+    networks = {run.label: network_of(run.training.identity) for run in read_list(folder).runs}
     times = [timed("a machine", networks[label], k + 9.0, k + 10.0, k + 11.0) for k, label in enumerate(VARIANTS)]
     pd.concat(times).to_csv(folder / TIMES, index=False)
     return folder
@@ -97,22 +120,31 @@ def study(tmp_path: Path) -> Path:
 
 def compared(study: Path, reference: str = "sa2h") -> tuple[Path, str, str]:
     """Folder of the comparison, its report, and its notes as one text."""
-    usable = usable_runs(study, reference)
-    notes = write_comparison(Study(study, usable, reference), "a study")
+    asked = replace(read_list(study), reference=reference)
+    notes = write_comparison(Study(asked, comparable_runs(asked)), "a study")
     return study / "comparison", (study / "comparison" / "report.html").read_text(), "\n".join(notes)
 
 
-def change(folder: Path, **values: object) -> None:
-    """Other values in a result.json."""
-    path = folder / "result.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | values))
+def change(run: Run, **values: object) -> None:
+    """Other values in a trained.json."""
+    path = run.training.folder / "trained.json"
+    write_json(path, read_json(path) | values)
 
 
-def set_values(folder: Path, metric: str, where: Callable[[pd.DataFrame], pd.Series], value: float) -> None:
-    """Other values in a per_image.parquet."""
-    table = pd.read_parquet(folder / "per_image.parquet")
-    table.loc[(table["metric"] == metric) & (table["source"] == "model") & where(table), "value"] = value
-    table.to_parquet(folder / "per_image.parquet")
+def score_file(run: Run, metric: str) -> Path:
+    (name,) = [name for name in run.score_names if name.startswith(f"{metric}@")]
+    return run.training.scores / name
+
+
+def set_values(run: Run, metric: str, where: Callable[[pd.DataFrame], pd.Series], value: float) -> None:
+    """Other values of the model in a score."""
+    change_score(run, metric, lambda t: t.assign(value=t["value"].mask((t["source"] == "model") & where(t), value)))
+
+
+def change_score(run: Run, metric: str, to: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+    """Another table in a score."""
+    score = read_score(score_file(run, metric))
+    write_score(run.training.scores, ScoreKey(metric, "v2", 3, PIXELS), replace(score, values=to(score.values)))
 
 
 @pytest.mark.usefixtures("figures")
@@ -177,8 +209,8 @@ def test_runs_without_a_discriminator_tell_its_effect_and_leave_the_others(study
 
 
 def test_pictures_without_their_pairs_are_said_to_be_missing(study: Path) -> None:
-    for folder in study.glob("*/seed0"):
-        np.savez(folder / "pictures.npz", frames=[3], images=np.zeros((1, 40, 60), np.uint8))
+    for run in read_list(study).runs:
+        np.savez(run.training.pictures_file, frames=[3], images=np.zeros((1, 40, 60), np.uint8))
     _, report, notes = compared(study)
     assert "There are no pictures: no data set at" in notes
     assert "no data set at" in report
@@ -235,12 +267,12 @@ def test_cautions_notes_and_times_are_of_all_runs_that_verdicts_use(study: Path)
         write_run(study, label, seed, data="fetal-1", anatomy=1) for label in ("sa2h", "sa2h-att") for seed in (3, 4)
     ]
     set_values(blocks[0], METRICS[-1], lambda t: t["frame"] == 5, np.nan)
-    scores = pd.read_parquet(blocks[1] / "per_image.parquet")
-    scores[scores["frame"] < 20].to_parquet(blocks[1] / "per_image.parquet")
+    for metric in METRICS:
+        change_score(blocks[1], metric, lambda table: table[table["frame"] < 20])
     change(blocks[0], notes=["3 % of the pixels were clipped."])
     times = pd.read_csv(study / TIMES)
     other = write_run(study, "sa2h.encoding-arbitrary", 3, data="fetal-1", anatomy=1)
-    more = timed("a machine", network_of(Run(other).spec["semantic"]), 5.0, 6.0, 7.0)
+    more = timed("a machine", network_of(other.training.identity), 5.0, 6.0, 7.0)
     later = times.assign(machine="a later machine", ms=99.0)  # of all networks but that of the block
     pd.concat([times, more, later]).to_csv(study / TIMES, index=False)
     folder, report, notes = compared(study)
@@ -249,7 +281,7 @@ def test_cautions_notes_and_times_are_of_all_runs_that_verdicts_use(study: Path)
         assert "sa2h/seed4 (20 of 24)" in text
     assert "3 % of the pixels were clipped." in report
     runs = pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"])
-    shared = pd.read_parquet(blocks[1] / "per_image.parquet").query("split == 'test' and source == 'model'")
+    shared = run_in(study, "sa2h", 4).scores.query("split == 'test' and source == 'model'")
     shared = shared[(shared["metric"] == METRICS[-1]) & (shared["frame"] != 5)]
     assert runs.loc[("sa2h", 4), METRICS[-1]] == pytest.approx(shared["value"].mean())
     opened = ablate.open_study(study)
@@ -262,7 +294,7 @@ def test_cautions_notes_and_times_are_of_all_runs_that_verdicts_use(study: Path)
 
 
 def test_runs_of_different_data_sets(study: Path) -> None:
-    shutil.rmtree(study / "nsa2h" / "seed1")
+    shutil.rmtree(run_in(study, "nsa2h", 1).training.folder)
     write_run(study, "nsa2h", 1, data="fetal-1", frames=10, anatomy=1)
     write_run(study, "sa2h-att.encoding-arbitrary", 0, data="fetal-2", frames=12)
     folder, report, notes = compared(study)
@@ -275,71 +307,69 @@ def test_runs_of_different_data_sets(study: Path) -> None:
     assert "nsa2h (2)" in notes, "which leaves it too few seeds"
 
 
-def change_spec(run: Path, **model: object) -> None:
-    """Other values of the model in a spec.json, which its hash does not know of."""
-    spec = json.loads((run / "spec.json").read_text())
-    replace_in_spec(run, semantic=spec["semantic"] | {"model": spec["semantic"]["model"] | model})
+def replace_in_about(run: Run, **parts: object) -> None:
+    """Other parts in a training.json."""
+    path = run.training.folder / "training.json"
+    write_json(path, read_json(path) | parts)
 
 
-def replace_in_spec(run: Path, **parts: object) -> None:
-    """Other parts in a spec.json."""
-    spec = json.loads((run / "spec.json").read_text())
-    (run / "spec.json").write_text(json.dumps(spec | parts))
+def write_about(text: str) -> Callable[[Run], object]:
+    return lambda run: (run.training.folder / "training.json").write_text(text)
 
 
-def replace_in_scores(run: Path, **words: dict[str, str]) -> None:
-    """Other words in the columns of a per_image.parquet."""
-    table = pd.read_parquet(run / "per_image.parquet")
-    table.replace(words).to_parquet(run / "per_image.parquet")
+def write_scores(content: bytes) -> Callable[[Run], object]:
+    return lambda run: score_file(run, "mae").write_bytes(content)
 
 
-AGAIN = "unreadable ({}: per_image.parquet): start it again"
-ANOTHER, SPEC = "with a result of another configuration", "with a spec.json that is damaged, or not what its hash says"
-UNUSABLE: dict[str, tuple[Callable[[Path], object], str]] = {
-    "scores are not Parquet": (
-        lambda run: (run / "per_image.parquet").write_bytes(b"no"),
-        AGAIN.format("ArrowInvalid"),
+def model_of(run: Run, **model: object) -> dict[str, object]:
+    """An identity with other values of the model, which its hash does not know of."""
+    identity = run.training.identity
+    return identity | {"model": identity["model"] | model}
+
+
+DAMAGED = "with a training.json that is damaged, or not what its hash says"
+UNUSABLE: dict[str, tuple[Callable[[Run], object], str]] = {
+    "scores are not Parquet": (write_scores(b"no"), "without all of its scores"),
+    "scores are missing": (lambda run: score_file(run, "mae").unlink(), "without all of its scores"),
+    "an unfinished training": (lambda run: (run.training.folder / "trained.json").unlink(), "not finished"),
+    "a damaged result": (
+        lambda run: (run.training.folder / "trained.json").write_text("{"),
+        "without a usable pixels, scalars, notes, started, ended in trained.json: start it again",
     ),
-    "scores are missing": (lambda run: (run / "per_image.parquet").unlink(), AGAIN.format("FileNotFoundError")),
-    "a metric that is no name": (
-        lambda run: replace_in_scores(run, metric={"mae": "x/../../../stolen"}),
-        AGAIN.format("ValueError"),
-    ),
-    "another version of the metrics": (
-        lambda run: change(run, metrics_version=METRICS_VERSION - 1),
-        f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again",
-    ),
-    "a damaged result": (lambda run: (run / "result.json").write_text("{"), "without a usable hash, label, "),
-    "a result of another hash": (lambda run: change(run, hash="another"), ANOTHER),
-    "a result of another label": (lambda run: change(run, label="other"), ANOTHER),
-    "an empty spec": (lambda run: (run / "spec.json").write_text(""), SPEC),
-    "a spec without a hash": (lambda run: (run / "spec.json").write_text("{}"), SPEC),
-    "a spec that is no mapping": (lambda run: (run / "spec.json").write_text('{"hash": "sa2h0", "semantic": 3}'), SPEC),
-    "a spec whose changes are no mapping": (lambda run: replace_in_spec(run, changed="ab"), SPEC),
-    "a spec whose changes are a number": (lambda run: replace_in_spec(run, changed=0.5), SPEC),
-    "a spec whose settings are a number": (lambda run: replace_in_spec(run, settings=5), SPEC),
-    "a spec without a seed": (lambda run: replace_in_spec(run, semantic={}, hash=digest({})), SPEC),
-    "a spec that is not what its hash says": (lambda run: change_spec(run, depth={"a": 3}), SPEC),
+    "a result without a number": (lambda run: change(run, scalars={"seconds": "1"}), "without a usable scalars in "),
+    "a result without parameters": (lambda run: change(run, scalars={}), "without a usable scalars.parameters_gen"),
+    "an empty file": (write_about(""), DAMAGED),
+    "without a hash": (write_about("{}"), DAMAGED),
+    "changes that are no mapping": (lambda run: replace_in_about(run, changed="ab"), DAMAGED),
+    "settings that are a number": (lambda run: replace_in_about(run, settings=5), DAMAGED),
+    "not what its hash says": (lambda run: replace_in_about(run, identity=model_of(run, depth=3)), DAMAGED),
+    "another seed than its folder": (lambda run: replace_in_about(run, seed=7), "in a folder that was renamed"),
 }
 
 
 @pytest.mark.parametrize("damage", UNUSABLE)
 def test_a_run_that_cannot_be_used_is_left_aside_in_words(study: Path, damage: str) -> None:
     harm, why = UNUSABLE[damage]
-    harm(study / "nsa2h" / "seed0")
-    (study / "sa2h-conv" / "seed1" / "result.json").unlink()
-    usable = usable_runs(study)
-    aside, unfinished = usable.notes
-    assert (aside[: len(why) + 18], aside[-13:]) == (f"1 run left aside, {why}", " nsa2h/seed0.")
-    assert unfinished == "1 run not finished: sa2h-conv/seed1."
-    assert len(usable.runs) == len(VARIANTS) * 3 - 2
+    run = run_in(study, "nsa2h", 0)
+    harm(run)
+    usable = comparable_runs(read_list(study))
+    (note,) = usable.notes
+    assert note.startswith(f"1 run not finished: {run.training.folder.name} ({why}")
+    assert len(usable.runs) == len(VARIANTS) * 3 - 1
+
+
+def test_scores_that_hold_another_metric_are_refused_by_name(study: Path) -> None:
+    run = run_in(study, "nsa2h", 0)
+    change_score(run, "mae", lambda table: table.assign(metric="x/../../../stolen"))
+    with pytest.raises(ValueError, match=r"mae@v2.*parquet: holds values of x/"):
+        assert run_in(study, "nsa2h", 0).scores.empty
 
 
 @pytest.mark.usefixtures("figures")
 def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
-    set_values(study / "nsa2h" / "seed0", "mae", lambda t: (t["frame"] == 5) & (t["split"] == "test"), np.nan)
+    set_values(run_in(study, "nsa2h", 0), "mae", lambda t: (t["frame"] == 5) & (t["split"] == "test"), np.nan)
     for seed in (0, 1, 2):
-        set_values(study / "sa2h-att" / f"seed{seed}", "pchi2", lambda t: t["frame"] >= 0, np.nan)
+        set_values(run_in(study, "sa2h-att", seed), "pchi2", lambda t: t["frame"] >= 0, np.nan)
     folder, report, notes = compared(study)
     assert "MAE: 1 NaN left out (nsa2h/seed0 frame 5)." in notes
     paired = pd.read_csv(folder / "paired.csv").set_index(["variant", "metric"])
@@ -354,40 +384,79 @@ def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
 def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run that was deleted and trained again has the same hash."""
-    (conf := tmp_path / "conf").joinpath("component").mkdir(parents=True)
-    conf.joinpath("component", "att.yaml").write_text("band: 1")
-    monkeypatch.setattr("ablate.comparison.compare._track", lambda *_: None)
-    settings = StudySettings(runs_dir=str(study.parent), study_name=study.name)
-    compare_study(settings)
-    table, before = study / "comparison" / "table.csv", (study / "comparison" / "table.csv").stat().st_mtime_ns
-    compare_study(settings)
-    assert table.stat().st_mtime_ns == before
-    for changed, to in (("conf_folder", conf), ("tracking.source_digest", "x")):  # another band, or other statistics
-        monkeypatch.setattr(f"ablate.comparison.compare.{changed}", lambda to=to: to)
-        compare_study(settings)
-        assert table.stat().st_mtime_ns > before, changed
-        before = table.stat().st_mtime_ns
-    set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] >= 0, 90.0)
-    assert "43." in compare_study(settings)
+    """A training that was deleted and done again has the same hash."""
+    conf = tmp_path / "conf"
+    (conf / "component").mkdir(parents=True)
+    (conf / "component" / "att.yaml").write_text("band: 1")
+    asked = read_list(study)
+
+    def again() -> int:
+        """When the table was written, after the same runs were compared again."""
+        compare_study(RunList(study, tuple(run_in(study, r.label, r.seed) for r in asked.runs), (), "sa2h"), "a study")
+        return (study / "comparison" / "table.csv").stat().st_mtime_ns
+
+    before = again()
+    assert again() == before
+    for changed, to in (("conf_folder", conf), ("package_digest", "x")):  # another band, or other statistics
+        monkeypatch.setattr(f"ablate.study.compare.{changed}", lambda to=to: to)
+        later = again()
+        assert later > before, changed
+        before = later
+    set_values(run_in(study, "nsa2h", 0), "psnr", lambda t: t["frame"] >= 0, 90.0)
+    assert again() > before
+    table = study / "comparison" / "table.csv"
     assert 43 < pd.read_csv(table).set_index("variant").loc["nsa2h", "psnr_mean"] < 44
     (study / "comparison" / "made_from.json").write_text("")
     table.unlink()
-    compare_study(settings)
+    again()
     assert table.exists()
     (study / "comparison" / "report.html").unlink()
-    compare_study(settings)
+    again()
     assert (study / "comparison" / "report.html").exists()
 
 
 def test_no_run_at_all_is_one_line_that_says_why(tmp_path: Path) -> None:
-    settings = StudySettings(runs_dir=str(tmp_path), study_name="quick-fetal")
+    study = tmp_path / "quick-fetal"
     with pytest.raises(ConfigurationError, match=r"quick-fetal holds no finished run to compare\.$"):
-        compare_study(settings)
-    folder = write_run(tmp_path / "quick-fetal", "sa2h", 0)
-    (folder / "result.json").unlink()
-    with pytest.raises(ConfigurationError, match=r"1 run not finished: sa2h/seed0\.$"):
-        compare_study(settings)
+        compare_study(read_list(study), "a study")
+    run = write_run(study, "sa2h", 0)
+    (run.training.folder / "trained.json").unlink()
+    with pytest.raises(ConfigurationError, match=r"1 run not finished: sa2h-seed0-\w+ \(not finished\)\.$"):
+        compare_study(read_list(study), "a study")
+    (study / "sa2h" / "seed0").mkdir(parents=True)
+    (study / "sa2h" / "seed0" / "spec.json").write_text("{}")
+    with pytest.raises(ConfigurationError, match=r"quick-fetal has 1 run of an earlier layout, which this version"):
+        compare_study(read_list(study), "a study")
+
+
+def test_results_of_another_version_say_so(study: Path) -> None:
+    for run in read_list(study).runs:
+        identity = {**run.training.identity, "training_version": 1}
+        replace_in_about(run, identity=identity, hash=digest(identity))
+        run.training.folder.rename(study / f"{run.label}-seed{run.seed}-{digest(identity)[:8]}")
+    trainings = [Training(path.parent) for path in sorted(study.glob("*/training.json"))]
+    names = run_in_names(trainings[0])
+    asked = RunList(study, tuple(Run(one, one.label, {}, names) for one in trainings), (), "sa2h")
+    (note,) = comparable_runs(asked).notes
+    assert note.startswith("These results are of version 1 of the training; this program has version ")
+
+
+def run_in_names(training: Training) -> tuple[str, ...]:
+    return tuple(path.name for path in training.score_files())
+
+
+def test_runs_scored_on_other_pixels_are_left_aside(study: Path) -> None:
+    run = run_in(study, "nsa2h", 2)
+    names = []
+    for path in run.training.score_files():
+        names.append(path.name.replace(PIXELS[:8], "1" * 8))
+        path.rename(path.with_name(names[-1]))
+    others = [one for one in read_list(study).runs if one.name != run.name]
+    asked = listed(study, *others, Run(run.training, run.label, {}, tuple(names)))
+    usable = comparable_runs(asked)
+    (note,) = usable.notes
+    assert note.startswith("1 run left aside, scored on other pixels of the same recipe")
+    assert len(usable.runs) == 3 * len(VARIANTS) - 1
 
 
 def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -413,49 +482,62 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
 )
 def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: str) -> None:
     jobs = study_group(group)
-    design = find_design({job.label: levels_of(job.semantic) for job in jobs}, FACTORS)
+    design = find_design({job.label: levels_of(job.identity) for job in jobs}, FACTORS)
     assert design is not None
     assert design.name.startswith(name)
 
 
 def test_a_start_of_noise_that_is_not_injected_and_a_seed_of_training_make_no_other_network(tmp_path: Path) -> None:
-    made = {}
+    levels = {}
     for label, noise, start in (("sa2h", "inject", 0.2), ("sa2h-noise", "input", 0.0), ("sa2h-att", "inject", 0.2)):
-        folder = write_run(tmp_path / "s", label, len(made))
-        spec = json.loads((folder / "spec.json").read_text())
-        spec["semantic"]["model"] |= {"noise": noise, "noise_start": start}
-        made[label] = levels_of(spec["semantic"])
-    design = find_design(made, FACTORS)
+        run = write_run(tmp_path / "s", label, len(levels))
+        levels[label] = levels_of(model_of(run, noise=noise, noise_start=start))
+    design = find_design(levels, FACTORS)
     assert design is not None
-    assert (design.factors, set(design.cells.index)) == (["model.attenuation", "model.noise"], set(made))
-    made["sa2h-quiet"] = made["sa2h"] | {"model.noise_start": 0.0}
-    made["sa2h-long"] = made["sa2h"] | {"training.steps": 99}
-    design = find_design(made, FACTORS)
+    assert (design.factors, set(design.cells.index)) == (["model.attenuation", "model.noise"], set(levels))
+    levels["sa2h-quiet"] = levels["sa2h"] | {"model.noise_start": 0.0}
+    levels["sa2h-long"] = levels["sa2h"] | {"training.steps": 99}
+    design = find_design(levels, FACTORS)
     assert design is not None
-    assert set(made) - set(design.cells.index) == {"sa2h-quiet", "sa2h-long"}
+    assert set(levels) - set(design.cells.index) == {"sa2h-quiet", "sa2h-long"}
 
 
-def test_a_metric_that_a_result_names_is_not_imported(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A result may come from anybody. A user's own metric has its label where the command names it."""
-    monkeypatch.setattr(registry, "_OWN", {})
-    for folder in study.glob("*/seed*"):
-        change(folder, metrics=["all", "of_a_user.own"])
-        table = pd.read_parquet(folder / "per_image.parquet")
-        table.assign(metric=table["metric"].replace("mae", "brightness")).to_parquet(folder / "per_image.parquet")
-    module = ModuleType("of_a_user")
-    module.own = Metric("brightness", "Brightness error", of_image=lambda _: 0.0)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "of_a_user", module)
-    assert len(usable_runs(study).runs) == 12
+def test_a_metric_of_a_user_is_shown_by_its_name_where_no_command_names_it(study: Path) -> None:
+    """Scores may come from anybody: what they name is not imported."""
+    runs = []
+    for run in read_list(study).runs:
+        score = read_score(score_file(run, "mae"))
+        key = ScoreKey("brightness", "0123abcd", 3, PIXELS)
+        write_score(run.training.scores, key, replace(score, values=score.values.assign(metric="brightness")))
+        runs.append(Run(run.training, run.label, {}, (*run.score_names, key.file_name)))
+    listed(study, *runs)
+    folder, _, _ = compared(study)
+    assert "brightness_mean" in pd.read_csv(folder / "table.csv")
     assert metric_of("brightness").label == "brightness"
-    choose_metrics(["all", "of_a_user.own"])
-    assert metric_of("brightness").label == "Brightness error"
 
 
 @pytest.mark.parametrize("name", ["pictures.npz", "provenance/made_with.json"])
 def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) -> None:
-    path = study / "sa2h" / "seed0" / name
+    path = run_in(study, "sa2h", 0).training.folder / name
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"" if name.endswith("npz") else b"\xe9{")
-    runs = usable_runs(study).runs
+    runs = comparable_runs(read_list(study)).runs
     assert len(runs) == len(VARIANTS) * 3
     assert pictures(runs) == []
+
+
+def test_names_in_a_list_lead_nowhere_else(study: Path, tmp_path: Path) -> None:
+    """The list may come from anybody."""
+    other = write_run(tmp_path / "elsewhere", "sa2h", 9)
+    content = read_json(study / "comparison" / "jobs.json")
+    good = content["jobs"][0]
+    for key, value in (
+        ("training", f"../elsewhere/{other.training.folder.name}"),
+        ("training", str(other.training.folder)),
+        ("label", "../x"),
+        ("scores", ["../../elsewhere/x.parquet"]),
+        ("scores", []),
+        ("changed", 5),
+    ):
+        write_json(study / "comparison" / "jobs.json", {**content, "jobs": [{**good, key: value}]})
+        assert not read_list(study).runs, (key, value)

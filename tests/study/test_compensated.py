@@ -4,12 +4,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from ablate.jobs.compose import jobs_of
-from ablate.runs.simulated import build_scene
-from ablate.runs.train import run_job
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import Part
 from ablate.networks import Attenuation
+from ablate.sources.source import source_of
+from ablate.study.run import run_of
+from ablate.study.work import do
 from ablate.ultrasound import TimeGain, compensated_attenuation, with_patient_gain
 from support.studies import TINY, TinyStudy
 
@@ -18,12 +19,12 @@ def test_it_reads_what_the_frames_were_simulated_with_and_is_scored(tiny_study: 
     shutil.copytree(tiny_study.runs / "data", runs / "data")
     before = {p: p.stat().st_mtime_ns for p in runs.glob("data/*/pairs.zarr/**/*")}
     (job,) = jobs_of([*TINY, "variant=sa2h-compensated", f"runs_dir={runs}"])
-    run_job(job)
+    do(job)
     assert {p: p.stat().st_mtime_ns for p in runs.glob("data/*/pairs.zarr/**/*")} == before
-    assert job.run.settings.model.attenuation is Attenuation.compensated
-    assert "test/shadow_contrast" in job.run.result["scalars"]
+    assert job.training.settings.model.attenuation is Attenuation.compensated
+    assert "test/shadow_contrast" in run_of(job).scalars
     pairs, settings = job.data.pairs, job.settings
-    training, (scene, _) = pairs.poses[pairs.frames(Part.train)], build_scene(settings)
+    training, (scene, _) = pairs.poses[pairs.frames(Part.train)], source_of(settings).scene()
     gain = with_patient_gain(scene, settings.probe, settings.simulator, training).time_gain_db
     assert settings.simulator.tgc is TimeGain.patient
     assert gain == pairs.tgc == job.data.time_gain_db

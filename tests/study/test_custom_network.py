@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from ablate.jobs.compose import jobs_of
-from ablate.runs.train import run_job
 
+from ablate.command.compose import jobs_of
 from ablate.settings.study import ConfigurationError
 from ablate.storage import read_json
+from ablate.study.work import do
 from ablate.training import load_generator
 from support.studies import run
 
@@ -31,27 +31,28 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     sizes += ["training.steps=2", f"runs_dir={tmp_path / 'runs'}"]
     assert run(*sizes, "variant=custom", "model.target=toy_networks.Toy") == 0
     study = tmp_path / "runs/tiny-fetal"
-    known = read_json(study / "Toy/seed0/spec.json")["semantic"]["model"]
+    (folder,) = study.glob("Toy-seed0-*")
+    known = read_json(folder / "training.json")["identity"]["model"]
     assert known["target"] == "toy_networks.Toy"
     assert len(known["source"]) == 64
     # weights and biases of its two convolutions: S and A in
-    assert read_json(study / "Toy/seed0/result.json")["scalars"]["parameters_generator"] == 7 * 8 * 9 + 8 + 8 * 9 + 1
+    assert read_json(folder / "trained.json")["scalars"]["parameters_generator"] == 7 * 8 * 9 + 8 + 8 * 9 + 1
     assert set(pd.read_csv(study / "comparison/table.csv")["variant"]) >= {"Toy"}
 
     module.write_text(
         TOY.replace("Conv2d(8, 1, 3", "Conv2d(8, 1, 5").replace("padding=1), nn.Tanh", "padding=2), nn.Tanh")
     )
     (begun,) = jobs_of([*sizes, "variant=custom", "model.target=toy_networks.Toy", "seed=1"])
-    assert begun.semantic["model"] == known
-    trained = study / "Toy/seed0/last.ckpt"
+    assert begun.identity["model"] == known
+    trained = folder / "last.ckpt"
     assert load_generator(trained).spec.target == "toy_networks.Toy"
     monkeypatch.delitem(sys.modules, "toy_networks")
     with pytest.raises(ConfigurationError, match=r"toy_networks\.Toy: edited since the sweep began; repeat"):
-        run_job(begun)
+        do(begun)
     with pytest.raises(ValueError, match=r"last\.ckpt: the code of toy_networks\.Toy is not that of the training"):
         load_generator(trained)
-    with pytest.raises(ConfigurationError, match=r"holds another configuration \(model.source: "):
-        run(*sizes, "variant=custom", "model.target=toy_networks.Toy")
+    (edited,) = jobs_of([*sizes, "variant=custom", "model.target=toy_networks.Toy"])
+    assert edited.folder != folder, "edited code is another training"
 
 
 def test_a_class_that_does_not_work_is_refused_before_anything_starts(

@@ -6,10 +6,10 @@ import nibabel
 import numpy as np
 import pytest
 import trimesh
-from ablate.jobs.compose import jobs_of
-from ablate.runs.data_set import maps_needed
 
+from ablate.command.compose import jobs_of
 from ablate.networks import GeneratorSpec
+from ablate.sources.data_set import maps_needed
 
 SCENE = """
 structures: [{mesh: organs/body.obj, tissue: soft_tissue}]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.runs.train import run_job
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import CropLoader
+from ablate.study.work import do
 from ablate.training import DivergenceError, load_generator, read_checkpoint
 from support.studies import TINY, TinyStudy
 
@@ -30,10 +30,10 @@ class BrokenLoader(CropLoader):
 
 def test_a_job_that_diverges_is_stopped(tiny_study: TinyStudy, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(tiny_study.runs / "data", runs / "data")
-    monkeypatch.setattr("ablate.runs.train.CropLoader", BrokenLoader)
+    monkeypatch.setattr("ablate.study.work.CropLoader", BrokenLoader)
     (job,) = jobs_of([*TINY, *TIMES, f"runs_dir={runs}", "training.log_every=1"])
     with pytest.raises(DivergenceError, match=r"at step 10: train/loss_d is nan.*the last good checkpoint is kept"):
-        run_job(job)
-    assert not job.run.result
-    assert read_checkpoint(job.run.checkpoint)["steps_done"] == 8
-    assert all(weight.isfinite().all() for weight in load_generator(job.run.checkpoint).parameters())
+        do(job)
+    assert not job.training.result
+    assert read_checkpoint(job.training.checkpoint)["steps_done"] == 8
+    assert all(weight.isfinite().all() for weight in load_generator(job.training.checkpoint).parameters())

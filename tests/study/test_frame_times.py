@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from ablate.comparison import frame_times
-from ablate.comparison.frame_times import TIMES, network_of, read_times, time_networks, timed_on
-from ablate.comparison.reading import scored_frames
-from ablate.runs.run import Run, runs_of
 
 from ablate.analysis import comparison_table, pareto_front
-from ablate.storage import digest, write_json
-from support.finished_runs import PARAMETERS, WHOLE, timed
+from ablate.storage import digest, read_json, write_json
+from ablate.study import frame_times
+from ablate.study.frame_times import TIMES, network_of, read_times, time_networks, timed_on
+from ablate.study.reading import scored_frames
+from ablate.study.run import Run
+from ablate.study.scores import ScoreKey, by_metric, write_score
+from ablate.study.training import Training, trainings_in
+from support.finished_runs import PARAMETERS, PIXELS, WHOLE, scores_of, timed
 
 if TYPE_CHECKING:
     from support.studies import TinyStudy
@@ -34,21 +35,38 @@ def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]
     }
 
 
-def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: bool = True) -> None:
-    """A finished run whose own file has a time that nobody should believe."""
-    folder = study / label / f"seed{seed}"
-    folder.mkdir(parents=True)
-    rows = [{"frame": k, "site": k, "metric": "mae", "value": 9.0, "source": "model", "split": "test"} for k in (0, 1)]
-    pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
+def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: bool = True, **model: str) -> None:
+    """A finished training whose own file has a time that nobody should believe."""
     content = semantic(width, seed)
-    known_by = {"label": label, "hash": digest(content), "changed": {}}
-    write_json(folder / "spec.json", {**known_by, "semantic": content, "settings": {"seed": seed}})
-    scalars = {"ms_per_frame": 666.0, **PARAMETERS}
-    write_json(
-        folder / "result.json", {**WHOLE, "hash": digest(content), "label": label, "seed": seed, "scalars": scalars}
-    )
+    content["model"] |= model  # type: ignore[operator]
+    folder = study / f"{label}-seed{seed}-{digest(content)[:8]}"
+    folder.mkdir(parents=True)
+    about = {"label": label, "seed": seed, "hash": digest(content), "changed": {}, "identity": content}
+    write_json(folder / "training.json", {**about, "settings": {"seed": seed}, "data": "fetal-0"})
+    Training(folder).write_result({**WHOLE, "scalars": {"ms_per_frame": 666.0, **PARAMETERS}})
+    key = ScoreKey("mae", "v2", 3, PIXELS)
+    write_score(folder / "scores", key, by_metric(scores_of({"mae": 9.0}, frames=2), [key])[key])
     if checkpoint:
         (folder / "last.ckpt").write_text("weights")
+
+
+def runs_of(study: Path) -> list[Run]:
+    """Every finished training of a folder with all of its scores."""
+    trainings = [one for one in trainings_in(study) if one.is_trained]
+    return [Run(one, one.label, {}, tuple(path.name for path in one.score_files())) for one in trainings]
+
+
+def change_identity(run: Run, pairs: str = "", settings: dict[str, Any] | None = None, **parts: Any) -> None:
+    """Another identity of a training, at its new address."""
+    about = read_json(run.training.folder / "training.json")
+    identity = about["identity"]
+    for part, values in parts.items():
+        identity[part] |= values
+    about |= {"identity": identity, "hash": digest(identity), "data": pairs or about["data"]}
+    about["settings"]["model"] |= settings or {}
+    write_json(run.training.folder / "training.json", about)
+    folder = run.training.folder
+    folder.rename(folder.with_name(f"{run.label}-seed{run.seed}-{about['hash'][:8]}"))
 
 
 @pytest.fixture
@@ -110,7 +128,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
             device, threads = "cpu", 1
 
     monkeypatch.setattr(frame_times, "_in_turns", in_turns)
-    monkeypatch.setattr(Run, "settings", Settings)
+    monkeypatch.setattr(Training, "settings", Settings)
     return calls
 
 
@@ -130,10 +148,13 @@ def test_a_new_network_is_timed_together_with_all_others(study: Path, measured: 
 
 def test_times_of_two_moments_are_never_in_one_column(study: Path, measured: list[set[str]], tmp_path: Path) -> None:
     time_networks(study, runs_of(study))
-    (study / "nsa2h").rename(tmp_path / "away")
+    moved = sorted(study.glob("nsa2h-*"))
+    for folder in moved:
+        folder.rename(tmp_path / folder.name)
     write_run(study, "lsa2h", 3.0)
     time_networks(study, runs_of(study))
-    (tmp_path / "away").rename(study / "nsa2h")
+    for folder in moved:
+        (tmp_path / folder.name).rename(folder)
     time_networks(study, runs_of(study))
     assert len(measured) == 3
     assert set(times_of(study).values()) == {30.0}
@@ -176,12 +197,10 @@ def test_each_network_is_timed_with_maps_of_its_own_pairs(
     own = runs_of(study)[0].data
     for name in (own, "others"):
         shutil.copytree(tiny_study.runs / "data" / own, tmp_path / "data" / name)
-    changed = study / "sa2h-att" / "seed0"
-    spec, result = (json.loads((changed / name).read_text()) for name in ("spec.json", "result.json"))
-    spec["semantic"]["data"]["probe"]["frequency_mhz"] += 1
-    spec["hash"] = digest(spec["semantic"])
-    write_json(changed / "spec.json", spec)
-    write_json(changed / "result.json", result | {"hash": spec["hash"], "data": "others"})
+    (changed,) = [run for run in runs_of(study) if run.label == "sa2h-att"]
+    probe = changed.training.identity["data"]["probe"]
+    frequency = probe["frequency_mhz"] + 1
+    change_identity(changed, "others", data={"probe": {**probe, "frequency_mhz": frequency}})
     made: list[str] = []
     maker = frame_times._map_maker
     monkeypatch.setattr(frame_times, "_map_maker", lambda s, data: made.append(data.name) or maker(s, data))
@@ -197,14 +216,9 @@ def test_a_network_has_the_time_of_its_own_maps_whoever_stands_beside_it(
     shutil.copytree(tiny_study.runs / study.name, study, ignore=shutil.ignore_patterns("*.ckpt", "frame_times.csv"))
     (tmp_path / "data").symlink_to(tiny_study.runs / "data")
     labels = {"sa2h": {"interfaces": "echo"}, "sa2h-att": {"interfaces": "none"}}
-    for label, model in labels.items():
-        of = study / label / "seed0"
-        spec, result = (json.loads((of / name).read_text()) for name in ("spec.json", "result.json"))
-        spec["semantic"]["model"] |= model
-        spec["settings"]["model"] |= {"attenuation": "integral", "position": "none"} | model
-        spec["hash"] = digest(spec["semantic"])
-        write_json(of / "spec.json", spec)
-        write_json(of / "result.json", result | {"hash": spec["hash"]})
+    for run in runs_of(study):
+        model = labels[run.label]
+        change_identity(run, settings={"attenuation": "integral", "position": "none"} | model, model=model)
     names: list[tuple[int, tuple[str, ...]]] = []
     maker = frame_times._map_maker
 
@@ -221,13 +235,7 @@ def test_a_network_has_the_time_of_its_own_maps_whoever_stands_beside_it(
 
 def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:
     for label, checkpoint in (("theirs", True), ("lost", False)):
-        write_run(study, label, 3.0 + checkpoint, checkpoint=checkpoint)
-        spec = json.loads((study / label / "seed0" / "spec.json").read_text())
-        spec["semantic"]["model"]["family"] = "custom"
-        spec["hash"] = digest(spec["semantic"])
-        result = json.loads((study / label / "seed0" / "result.json").read_text())
-        write_json(study / label / "seed0" / "result.json", result | {"hash": spec["hash"]})
-        write_json(study / label / "seed0" / "spec.json", spec)
+        write_run(study, label, 3.0 + checkpoint, checkpoint=checkpoint, family="custom")
     time_networks(study, runs_of(study))
     assert measured == [{"sa2h/seed0", "nsa2h/seed0", "theirs/seed0"}]
 

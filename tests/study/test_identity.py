@@ -1,4 +1,4 @@
-"""A run is known by what decides its result, and two results never share a place."""
+"""A training is known by what decides its weights, and lies at an address with that hash."""
 
 import json
 import sys
@@ -6,18 +6,16 @@ from pathlib import Path
 
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.preflight import check
-from ablate.runs import place
-from ablate.runs.job import Job
-from ablate.runs.place import check_place, claim_place, finished_run, with_earlier_metrics
-from ablate.runs.run import State
 
-from ablate.metrics import METRICS_VERSION
+from ablate.command.checks import check
+from ablate.command.compose import jobs_of
 from ablate.settings.study import ConfigurationError
-from ablate.storage import write_json
+from ablate.study.job import Job, trainings_of
+from ablate.study.run import listed_runs
+from ablate.study.scores import names_of, wanted_scores
+from ablate.study.training import State, Training, claim
 from ablate.training import TRAINING_VERSION
-from support.finished_runs import finish, result_of
+from support.finished_runs import PIXELS, WHOLE, finish
 
 
 def job(runs: Path, *arguments: str) -> Job:
@@ -30,43 +28,42 @@ def plain_hash(tmp_path_factory: pytest.TempPathFactory) -> str:
     return job(tmp_path_factory.mktemp("plain")).hash
 
 
-def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str) -> None:
+def test_where_and_how_a_job_runs_and_is_scored_does_not_count(tmp_path: Path, plain_hash: str) -> None:
     incidental = ["training.device=cpu", "frame=3", "training.checkpoint_every=7", "simulator.plan=full"]
     incidental += ["dataset.workers=5", "tracking.experiment=other", "study_name=other", "evaluation.pictures=9"]
     incidental += ["evaluation.inception=some/file", "metrics=paper", "simulator.device=cuda", "crops.workers=3"]
-    incidental += ["dataset.format=dicom"]
+    incidental += ["dataset.format=dicom", "evaluation.noise_draws=5"]
     assert job(tmp_path, *incidental).hash == plain_hash
-
-
-def test_identity_is_computed_once_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With scene=folder every mesh is read for it."""
-    computed = []
-    monkeypatch.setattr(
-        "ablate.runs.data_set.about_data", lambda s: computed.append(s) or {"scene": {}, "pairs_version": 1}
-    )
-    mine = job(tmp_path)
-    claim_place(mine)
-    check_place(mine)
-    assert finished_run(mine) is None
-    assert (mine.data.folder.name, mine.run.hash) == (mine.data.folder.name, mine.hash)
-    assert len(computed) == 1
 
 
 @pytest.mark.parametrize(
     "semantic",
     ["seed=1", "training.steps=7", "model.depth=5", "encoding=arbitrary", "simulator.rays=3", "dataset.frames=7",
      "probe.depth_mm=100", "scene.anatomy_seed=3", "crops.flip=false", "training.precision=bf16",
-     "training.loss=none", "evaluation.noise_draws=5"],
+     "training.loss=none"],
 )  # fmt: skip
-def test_what_decides_the_result_counts(tmp_path: Path, plain_hash: str, semantic: str) -> None:
+def test_what_decides_the_weights_counts(tmp_path: Path, plain_hash: str, semantic: str) -> None:
     assert job(tmp_path, semantic).hash != plain_hash
+
+
+def test_identity_is_computed_once_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With scene=folder every mesh is read for it."""
+    computed = []
+    monkeypatch.setattr(
+        "ablate.sources.kinds.fetal.BuiltInAnatomy.identity", lambda s: computed.append(s) or {"scene": {}}
+    )
+    mine = job(tmp_path)
+    claim(mine)
+    assert not mine.finished
+    assert mine.data.folder.name == mine.data.folder.name
+    assert len(computed) == 1
 
 
 @pytest.mark.parametrize("fast", ["fp32", "bf16"])
 def test_automatic_precision_is_the_one_of_the_device(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fast: str
 ) -> None:
-    """So that a run that began in one does not go on in the other."""
+    """So that a training that began in one does not go on in the other."""
     for probe in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
         monkeypatch.setattr(torch.cpu, probe, lambda: fast == "bf16", raising=False)
     automatic, other = (
@@ -74,10 +71,7 @@ def test_automatic_precision_is_the_one_of_the_device(
         for precision in ("auto", {"fp32": "bf16", "bf16": "fp32"}[fast])
     )
     named = job(tmp_path, "training.device=cpu", f"training.precision={fast}")
-    assert automatic.hash == named.hash
-    claim_place(automatic)
-    with pytest.raises(ConfigurationError, match=rf"training\.precision: {fast} there, "):
-        claim_place(other)
+    assert automatic.hash == named.hash != other.hash
 
 
 def test_on_a_cluster_the_precision_is_named(tmp_path: Path) -> None:
@@ -88,108 +82,122 @@ def test_on_a_cluster_the_precision_is_named(tmp_path: Path) -> None:
     check([job(tmp_path)], elsewhere=True)
 
 
-def test_another_version_of_the_training_is_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mine = job(tmp_path)
-    claim_place(mine)
-    monkeypatch.setattr("ablate.runs.job.TRAINING_VERSION", TRAINING_VERSION + 1)
-    versions = f"training_version: {TRAINING_VERSION} there, {TRAINING_VERSION + 1} here"
-    for variant in ("sa2h", "nsa2h"):
-        with pytest.raises(ConfigurationError, match=rf"\({versions}\).*study_name"):
-            claim_place(job(tmp_path, f"variant={variant}"))
-    there = json.loads((mine.folder / "spec.json").read_text())["hash"]
-    assert job(tmp_path).hash != there
+def test_no_configuration_stands_in_the_way_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = [[], ["training.steps=7"], ["variant=lsa2h", "scene.triangles=7000"], ["dataset.frames=99"], ["seed=3"]]
+    places = [claim(job(tmp_path, *each)).folder for each in words]
+    monkeypatch.setattr("ablate.study.job.TRAINING_VERSION", TRAINING_VERSION + 1)
+    places.append(claim(job(tmp_path)).folder)
+    assert len(set(places)) == len(words) + 1
+    assert {place.parent for place in places} == {job(tmp_path).settings.study_dir}
+    assert places[0].name == f"sa2h-seed0-{Training(places[0]).hash[:8]}"
 
 
-def test_another_configuration_in_the_same_place_is_refused_with_the_difference(tmp_path: Path) -> None:
-    claim_place(job(tmp_path))
-    claim_place(job(tmp_path, "training.threads=2"))
-    with pytest.raises(ConfigurationError, match=r"training\.steps: \d+ there, 7 here.*study_name"):
-        claim_place(job(tmp_path, "training.steps=7"))
+def test_one_training_has_one_place_whatever_its_label(tmp_path: Path) -> None:
+    """`sa2h-att`, and in a later command `model.attenuation=none`: the same network is no further replicate."""
+    first = job(tmp_path, "variant=sa2h-att")
+    second = job(tmp_path, "model.attenuation=none")
+    assert first.label != second.label
+    assert claim(first).folder == claim(second).folder
+    assert [one.label for one in trainings_of([first, second])] == ["sa2h-att"]
+    finish(first)
+    assert second.finished
 
 
-def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path) -> None:
-    claim_place(job(tmp_path))
-    claim_place(job(tmp_path, "variant=nsa2h", "seed=3"))
-    claim_place(job(tmp_path, "variant=sa2h-att", "encoding=arbitrary", "model.noise=none"))
-    claim_place(job(tmp_path, "variant=sa2h-conv", "scene.anatomy_seed=1"))
-    with pytest.raises(ConfigurationError, match=r"data\.scene\.triangles: \d+ there, 7000 here"):
-        claim_place(job(tmp_path, "variant=lsa2h", "scene.triangles=7000", "scene.anatomy_seed=1"))
-    claim_place(job(tmp_path, "variant=sa2h-gan"))
-    claim_place(job(tmp_path, "training.loss=minimax"))
-    with pytest.raises(ConfigurationError, match=r"data\.dataset\.frames: \d+ there, 99 here"):
-        claim_place(job(tmp_path, "variant=lsa2h", "dataset.frames=99"))
-    with pytest.raises(ConfigurationError, match=r"model\.width: 0\.25 there, 0\.5 here"):
-        claim_place(job(tmp_path, "variant=lsa2h", "model.width=0.5"))
+def test_what_only_scores_trains_nothing_and_counts_once(tmp_path: Path) -> None:
+    """Swept `evaluation.noise_draws` once trained the same network again, and counted it as another replicate."""
+    jobs = jobs_of(["-m", "evaluation.noise_draws=2,3", "seed=0,1", f"runs_dir={tmp_path}", "preset=tiny"])
+    assert len(jobs) == 4
+    assert {one.label for one in jobs} == {"sa2h"}
+    assert len({one.folder for one in jobs}) == 2
+    finish(jobs[0])
+    assert [one.finished for one in jobs] == [True, False, False, False], "three draws are another score"
+    for one in jobs:
+        finish(one)
+    asked = listed_runs(trainings_of(jobs))
+    assert [run.name for run in asked.runs] == ["sa2h/seed0", "sa2h/seed1"]
+    assert len(jobs[0].training.score_files()) == 2 * len(jobs[0].wanted)
 
 
-def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:
-    mine = job(tmp_path)
-    claim_place(mine)
-    assert finished_run(mine) is None
-    run = finish(mine)
-    assert finished_run(mine) == run
-    for change in ({"hash": "of another"}, {"metrics_version": 1}, {"metrics": ["psnr"]}, {"label": "nsa2h"}):
-        write_json(mine.folder / "result.json", result_of(mine, **change))
-        assert finished_run(mine) is None, change
+def test_a_job_is_finished_when_it_is_trained_and_every_score_is_there(tmp_path: Path) -> None:
+    mine = job(tmp_path, "metrics=[psnr,mae]")
+    assert mine.training.state is State.missing
+    claim(mine)
+    assert not mine.finished
     finish(mine)
-    run.scores_file.write_bytes(b"")
-    assert finished_run(mine) is None, "the values of frames are lost, and are made again from the checkpoint"
-    assert mine.run.state is State.resumable
+    assert mine.finished
+    assert job(tmp_path, "metrics=psnr").finished
+    more = job(tmp_path, "metrics=[psnr,crps]")
+    assert [key.metric for key in more.training.lacking(more.wanted)] == ["crps"]
+    (mine.training.scores / mine.wanted[0].file_name).write_bytes(b"PAR1 and no more")
+    assert [key.metric for key in mine.training.lacking(mine.wanted)] == ["psnr"], "what is damaged is computed again"
+    assert mine.training.is_trained, "a score takes nothing back"
 
 
-def test_a_result_of_a_newer_version_is_never_overwritten(tmp_path: Path) -> None:
-    mine = job(tmp_path)
-    run = finish(mine, metrics_version=METRICS_VERSION + 1)
-    assert (run.state, finished_run(mine)) == (State.unusable, None)
-    with pytest.raises(ConfigurationError, match=r"scored by version \d+ of the metrics.*newer.*remove it"):
-        check_place(mine)
-
-
-def test_a_metric_of_the_users_whose_code_was_edited_is_computed_again(
+def test_another_version_or_edited_code_of_a_metric_is_another_score(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(place, "load", lambda _: None)  # a function, whose name is in the path
-    monkeypatch.setattr(place, "source_digest", lambda path: f"first code of {path}")
-    mine = job(tmp_path, "metrics=[psnr,my_metrics.bias]")
-    finish(mine, metrics=["psnr", "my_metrics.bias"], sources=place.sources_of(mine.settings.metrics))
-    assert finished_run(mine) is not None
-    monkeypatch.setattr(place, "source_digest", lambda path: f"second code of {path}")
-    assert finished_run(mine) is None
+    (tmp_path / "a_metric_of_ones_own.py").write_text("def bias(pair):\n    return 1.0\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    mine = job(tmp_path, "metrics=[psnr,a_metric_of_ones_own.bias]")
+    finish(mine)
+    assert mine.finished
+    monkeypatch.setattr("ablate.study.scores.METRICS_VERSION", 99)
+    assert [key.metric for key in mine.training.lacking(mine.wanted)] == ["psnr"]
+    monkeypatch.setattr("ablate.study.scores.source_digest", lambda _: "0123456789")
+    assert [key.metric for key in mine.training.lacking(mine.wanted)] == ["psnr", "bias"]
 
 
-@pytest.mark.parametrize(
-    "damage", ["", "{", "[]", '{"hash": 1}', "metrics: 5", 'metrics: [{"all": 1}]', 'scalars: {"seconds": 1}']
-)
+def test_scores_are_known_by_the_frames_that_they_are_of(tmp_path: Path) -> None:
+    """Two processors round otherwise, so one recipe can give two data sets."""
+    mine = job(tmp_path)
+    finish(mine)
+    mine.data.folder.mkdir(parents=True)
+    mine.data.kept_digest.write_text(json.dumps({"test_frames": 16 * "1"}))
+    assert not mine.finished
+    mine.data.kept_digest.write_text(json.dumps({"test_frames": PIXELS}))
+    assert mine.finished
+
+
+def test_without_weights_no_distance_of_inceptions_features_is_wanted(tmp_path: Path) -> None:
+    plain, given = job(tmp_path), job(tmp_path, "evaluation.inception=download")
+    names = [{key.metric for key in wanted_scores("all", one.settings.evaluation, PIXELS)} for one in (plain, given)]
+    assert names[1] - names[0] == {"fid", "kid"}
+    assert names_of(["paper", "psnr", "psnr"]).count("psnr") == 1
+
+
+@pytest.mark.parametrize("damage", ["", "{", "[]", '{"scalars": 1}', json.dumps({**WHOLE, "pixels": "../x"})])
 def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, damage: str) -> None:
     mine = job(tmp_path)
-    claim_place(mine)
-    key, _, value = damage.partition(": ")
-    changed = json.dumps(result_of(mine) | {key: json.loads(value)}) if value and key.isidentifier() else damage
-    (mine.folder / "result.json").write_text(changed)
-    assert finished_run(mine) is None
-    assert with_earlier_metrics(mine).metrics
+    finish(mine)
+    (mine.folder / "trained.json").write_text(damage)
+    assert not mine.finished
+    assert mine.training.why.startswith("without a usable ")
+    assert mine.wanted
 
 
-def test_names_in_a_result_are_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A result may come from anybody, and a module of a user's own metric may be gone."""
+def test_a_damaged_description_is_written_again_but_not_beside_weights(tmp_path: Path) -> None:
     mine = job(tmp_path)
-    (tmp_path / "evil_metric.py").write_text("raise SystemExit('imported')\n")
+    training = claim(mine)
+    about = training.folder / "training.json"
+    whole = about.read_text()
+    about.write_text("")
+    claim(mine)
+    assert about.read_text() == whole
+    about.write_text("")
+    training.checkpoint.touch()
+    with pytest.raises(ConfigurationError, match=r"training\.json is missing or damaged: what was trained is"):
+        claim(mine)
+
+
+def test_names_in_a_folder_are_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder may come from anybody: what it names is not imported."""
+    mine = job(tmp_path)
+    (tmp_path / "evil_network.py").write_text("raise SystemExit('imported')\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    finish(mine, metrics=["all", "evil_metric.f", "gone.f"])
-    assert finished_run(mine) is not None
-    assert not {"evil_metric.f", "gone.f"} & set(with_earlier_metrics(mine).metrics)
-    assert "evil_metric" not in sys.modules
-
-
-def test_a_damaged_spec_of_another_run_stops_nothing_and_ones_own_only_before_training_goes_on(tmp_path: Path) -> None:
-    mine, other = job(tmp_path), job(tmp_path, "variant=nsa2h")
-    for each in (mine, other):
-        claim_place(each)
-        (each.folder / "spec.json").write_text("")
-    check_place(mine)
-    (mine.folder / "last.ckpt").touch()
-    with pytest.raises(ConfigurationError, match=r"spec\.json is damaged: .* remove .*seed0 to start again"):
-        claim_place(mine)
-    write_json(mine.folder / "result.json", result_of(mine))  # it names the configuration as well
-    claim_place(mine)
-    assert json.loads((mine.folder / "spec.json").read_text())["hash"] == mine.hash
+    finish(mine)
+    about = json.loads((mine.folder / "training.json").read_text())
+    about["settings"]["metrics"] = ["evil_network.f"]
+    (mine.folder / "training.json").write_text(json.dumps(about))
+    assert mine.training.settings.metrics == ["evil_network.f"]
+    assert mine.finished
+    assert "evil_network" not in sys.modules

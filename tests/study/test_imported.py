@@ -1,6 +1,5 @@
 """Pairs made elsewhere serve a study as simulated ones do, as far as they go."""
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -8,15 +7,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.launch import Launch
-from ablate.runs.data_set import DataSet
 from skimage.io import imsave
 
+from ablate.command.compose import jobs_of
+from ablate.command.launch import Launch
 from ablate.dataset.export_formats import write_png
 from ablate.dataset.png_folder import FOLDERS
 from ablate.settings.study import ConfigurationError
-from ablate.tasks import run_task as tasks
+from ablate.sources.data_set import DataSet
+from ablate.study.run import read_list
+from ablate.tasks import study as tasks
 from ablate.viewer.generators import open_generator
 from support.studies import TINY, TinyStudy, run
 
@@ -51,8 +51,9 @@ def folder(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def per_image(runs: Path, variant: str) -> pd.DataFrame:
-    (path,) = runs.glob(f"*/{variant}/seed0/per_image.parquet")
-    return pd.read_parquet(path)
+    (folder,) = runs.glob(f"*/{variant}-seed0-*")
+    files = sorted(folder.glob("scores/*.parquet"))
+    return pd.concat([pd.read_parquet(path) for path in files], ignore_index=True)
 
 
 def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
@@ -73,10 +74,10 @@ def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
     assert set(mine["source"]) == {"model"}
     assert set(mine["metric"]) >= {"psnr", "pchi2", "mae_smooth", "shadow_contrast"}
     theirs = theirs[theirs["source"] == "model"].reset_index(drop=True)
-    other = ["site", "variant"]  # numbers of sites, and the label
+    other = ["site"]  # their numbers
     pd.testing.assert_frame_equal(mine.drop(columns=other), theirs.drop(columns=other))
-    result = json.loads(next(runs.glob("*/sa2h/seed0/result.json")).read_text())
-    assert not [name for name in result["scalars"] if "floor" in name]
+    (run_here,) = read_list(runs / "tiny-pngs").runs
+    assert not [name for name in run_here.scalars if "floor" in name]
     report = next(runs.glob("tiny-pngs/comparison/report.html")).read_text()
     assert "The re-simulation is missing" in report
     assert "pairs made elsewhere cannot be simulated again" in report
@@ -124,7 +125,7 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
     folder: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     where = [*TINY, "scene=pairs", f"scene.folder={bare(folder, tmp_path)}", f"runs_dir={runs}"]
-    message = r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* without it: sa2h-att$"
+    message = r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* that read segmentation alone$"
     with pytest.raises(ConfigurationError, match=message):
         run("-m", "variant=sa2h-att,sa2h", *where)
     assert not (runs / "data").exists()
@@ -150,7 +151,7 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
 def test_a_generator_of_such_pairs_is_shown_with_their_probe_or_with_a_word(folder: Path, tmp_path: Path) -> None:
     arguments = [f"runs_dir={tmp_path}", *TINY, "scene=pairs", f"scene.folder={folder}", "probe.depth_mm=100"]
     assert run(*arguments) == 0
-    (trained,) = tmp_path.glob("*/sa2h/seed0")
+    (trained,) = tmp_path.glob("*/sa2h-seed0-*")
     data = data_of(tmp_path)
     opened = open_generator(trained, data.tissues)
     assert opened.renderer.probe.depth_mm == 150

@@ -10,27 +10,32 @@ from typing import Any
 
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.runs.job import Job
-from ablate.runs.train import logged, write_provenance
-from ablate.tracking import LocalLog, Status
 
-from ablate import tracking
-from ablate.storage import write_json
-from support.finished_runs import result_of
+from ablate.command.compose import jobs_of
+from ablate.study import provenance
+from ablate.study.job import Job
+from ablate.study.provenance import write_provenance
+from ablate.study.training import Training, claim
+from ablate.study.work import _logged
+from support.finished_runs import WHOLE
 
 
 @pytest.fixture
 def job(tmp_path: Path) -> Job:
     (made,) = jobs_of([f"runs_dir={tmp_path}", "training.threads=1"])
-    made.folder.mkdir(parents=True)
+    claim(made)
     return made
+
+
+def start(job: Job) -> None:
+    """What a process that begins to train writes."""
+    write_provenance(job, Training(job.folder))
 
 
 def code(monkeypatch: pytest.MonkeyPatch, commit: str, diff: str = "") -> None:
     """The repository is at this commit, with these changes."""
     state = {"git_commit": commit, "git_dirty": str(bool(diff)).lower(), "git_diff": diff}
-    monkeypatch.setattr(tracking, "git_state", lambda: dict(state))
+    monkeypatch.setattr(provenance, "git_state", lambda: dict(state))
 
 
 def stored(job: Job, name: str) -> Any:
@@ -46,14 +51,14 @@ def test_every_start_is_listed_and_the_report_names_all_commits(
 ) -> None:
     with caplog.at_level(logging.WARNING):
         code(monkeypatch, "aaa", "+one\n")
-        write_provenance(job)
+        start(job)
         stopped_at(job, 40)
-        write_provenance(job)
+        start(job)
         assert not caplog.messages, "the same code"
         code(monkeypatch, "bbb")
         (again,) = jobs_of([f"runs_dir={job.settings.results}", "training.threads=2"])
         stopped_at(job, 60)
-        write_provenance(again)
+        start(again)
     (warning,) = caplog.messages
     assert warning.startswith("step 60: training goes on with other code or hardware (git_commit aaa, now bbb")
     assert "threads 1, now 2" in warning
@@ -67,7 +72,7 @@ def test_every_start_is_listed_and_the_report_names_all_commits(
     about = stored(job, "made_with.json")
     assert (about["git_commit"], about["git_dirty"], about["threads"]) == ("aaa, bbb", "true", "1, 2")
     assert about["torch"].partition("+")[0] == torch.__version__.partition("+")[0]  # 2.13.0, of whatever build
-    assert job.run.made_with["git_commit"] == "aaa, bbb"
+    assert job.training.made_with["git_commit"] == "aaa, bbb"
 
 
 def test_a_change_of_uncommitted_code_alone_is_told(
@@ -75,7 +80,7 @@ def test_a_change_of_uncommitted_code_alone_is_told(
 ) -> None:
     for diff in ("+one\n", "+two\n"):
         code(monkeypatch, "aaa", diff)
-        write_provenance(job)
+        start(job)
         stopped_at(job, 40)
     assert "step 40: training goes on with other code or hardware (git_diff" in caplog.text
     kept = sorted((job.folder / "provenance").glob("uncommitted*.diff"))
@@ -88,12 +93,12 @@ def test_changed_code_is_told_where_the_package_lies_in_no_repository(
 ) -> None:
     package = tmp_path / "site-packages" / "ablate"
     (package / "training").mkdir(parents=True)
-    monkeypatch.setattr(tracking, "git_state", lambda: {})
-    monkeypatch.setattr(tracking, "source_digest", partial(tracking.source_digest, package))
+    monkeypatch.setattr(provenance, "git_state", lambda: {})
+    monkeypatch.setattr(provenance, "package_digest", partial(provenance.package_digest, package))
     for line in ("LOSS = 1\n", "LOSS = 1\n", "LOSS = 2\n"):
         assert not caplog.messages
         (package / "training" / "module.py").write_text(line)
-        write_provenance(job)
+        start(job)
         stopped_at(job, 40)
     assert "step 40: training goes on with other code or hardware (source " in caplog.text
 
@@ -102,11 +107,11 @@ def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(
     job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     code(monkeypatch, "aaa")
-    write_provenance(job)
+    start(job)
     stopped_at(job, 60)
-    write_json(job.folder / "result.json", result_of(job))
+    job.training.write_result(WHOLE)
     code(monkeypatch, "bbb")
-    write_provenance(job)
+    start(job)
     assert not caplog.messages
     assert stored(job, "made_with.json")["git_commit"] == "aaa, bbb"
 
@@ -116,51 +121,37 @@ def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypa
     assert minimal.hash == job.hash
     for diff in ("+canary one\n", "+canary two\n"):
         code(monkeypatch, "aaa", diff)
-        write_provenance(job)
-    monkeypatch.setattr(tracking, "environment", lambda: "canary==1\n")
-    write_provenance(job)
-    write_provenance(minimal)
+        start(job)
+    monkeypatch.setattr(provenance, "environment", lambda: "canary==1\n")
+    start(job)
+    start(minimal)
     files = {path.name: path.read_text() for path in (job.folder / "provenance").iterdir()}
     assert files.keys() == {"config.json", "made_with.json", "starts.json"}
     assert not any("canary" in text for text in files.values())
-    assert job.run.starts[-1]["git_commit"] == "aaa"
+    assert job.training.starts[-1]["git_commit"] == "aaa"
 
 
 @pytest.mark.parametrize("quiet", [True, False])
 def test_a_run_has_a_log_with_times_and_levels(job: Job, quiet: bool, capsys: pytest.CaptureFixture[str]) -> None:
     (job,) = jobs_of([f"runs_dir={job.settings.results}", *(["verbose=quiet"] if quiet else [])])
+    host = logging.NullHandler()
+    logging.getLogger().addHandler(host)
     try:
-        with suppress(KeyboardInterrupt), logged(job):
+        with suppress(KeyboardInterrupt), _logged(job, job.folder):
             logging.getLogger("ablate.training").info("step 1 of 2")
             logging.getLogger("ablate.training").info("step 2 of 2", extra={"in_bar": True})
             logging.getLogger("ablate.training").warning("bad")
             logging.getLogger("matplotlib").info("of a library")
             raise KeyboardInterrupt("Ctrl-C\n of somebody")
-        logging.getLogger("ablate.comparison").warning("of no run")
+        logging.getLogger("ablate.study").warning("of no training")
+        assert host in logging.getLogger().handlers, "the program around it keeps its own"
+        assert not logging.getLogger("ablate").handlers
     finally:
-        logging.basicConfig(handlers=[], force=True)
+        logging.getLogger().removeHandler(host)
     printed = capsys.readouterr().err.replace(f"{job.name}: ", "").splitlines()
-    assert printed == [*([] if quiet else ["step 1 of 2"]), "bad", "of no run"], "a bar shows the second step"
+    assert printed == [*([] if quiet else ["step 1 of 2"]), "bad"], "a bar shows the second step"
     first, second, third, last = (job.folder / "log.txt").read_text().splitlines()
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO ablate.training: step 1 of 2", first)
     assert second.endswith(" INFO ablate.training: step 2 of 2")
     assert third.endswith(" WARNING ablate.training: bad")
-    assert last.endswith(" ERROR ablate.runs.train: stopped by KeyboardInterrupt: Ctrl-C of somebody")
-
-
-def test_a_training_that_begins_again_says_that_curves_of_the_earlier_start_stay(
-    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    code(monkeypatch, "aaa")
-    log = LocalLog(job.folder)
-    log.status(Status.running)
-    write_provenance(job)
-    assert not caplog.messages, "an earlier start logged no value"
-    log.metrics({"train/l1": 0.5}, 2)
-    write_provenance(job)
-    assert caplog.messages == [
-        "training begins again at step 0; curves and pictures of the earlier start stay as they are"
-    ]
-    stopped_at(job, 40)
-    write_provenance(job)
-    assert len(caplog.messages) == 1
+    assert last.endswith(" ERROR ablate.study.work: stopped by KeyboardInterrupt: Ctrl-C of somebody")

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ablate.runs.run import Run
+
+from ablate.study.training import Training
 
 
 @pytest.mark.parametrize("field", [{"PK\x03\x04": 8, "PK\x01\x02": 10}, {"PK\x03\x04": 6, "PK\x01\x02": 8}])
@@ -12,7 +13,7 @@ def test_an_archive_packed_in_an_unknown_way_or_with_a_password_is_damaged(
     field: dict[str, int], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The method of each file in it becomes 99, which does not exist, or its flags say that it is encrypted."""
-    run = Run(tmp_path)
+    run = Training(tmp_path)
     np.savez(run.pictures_file, frames=[3], images=np.full((1, 2, 2), 7, np.uint8))
     assert run.pictures[3].tolist() == [[7, 7], [7, 7]]
     content = bytearray(run.pictures_file.read_bytes())

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ablate.tracking import git_state, packages, source_digest
+
+from ablate.study.provenance import git_state, package_digest, packages
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -71,6 +72,6 @@ def test_the_digest_of_the_source_knows_tables_and_templates(tmp_path: Path, nam
     (tmp_path / "deep").mkdir()
     changed = tmp_path / "deep" / name
     changed.write_text("1")
-    before = source_digest(tmp_path)
+    before = package_digest(tmp_path)
     changed.write_text("2")
-    assert source_digest(tmp_path) != before
+    assert package_digest(tmp_path) != before

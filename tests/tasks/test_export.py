@@ -10,14 +10,14 @@ import numpy as np
 import pydicom
 import pytest
 import zarr
-from ablate.jobs.compose import jobs_of
-from ablate.runs.data_set import DataSet
 from PIL import Image
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import Pairs, Part, open_pairs
 from ablate.dataset.dicom_files import write_cine, write_dicom
 from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.settings.study import ConfigurationError
+from ablate.sources.data_set import DataSet
 from support.scene_folders import ball_folder
 from support.studies import run
 

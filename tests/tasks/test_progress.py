@@ -4,16 +4,16 @@ from pathlib import Path
 
 import pytest
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.runs.job import Job
 
+from ablate.command.compose import jobs_of
+from ablate.study.job import Job
 from ablate.tasks.plan import progress, show_progress
 from support.finished_runs import PARAMETERS
 from support.finished_runs import finish as write_finished
 
 
 def finish(job: Job, seconds: float | None) -> None:
-    write_finished(job, scalars=PARAMETERS | ({} if seconds is None else {"seconds": seconds}))
+    write_finished(job, scalars=PARAMETERS | ({} if seconds is None else {"train/seconds": seconds}))
 
 
 @pytest.fixture

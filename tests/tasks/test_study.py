@@ -1,6 +1,5 @@
 """A whole study at a tiny size: simulated, trained, compared, tracked; killed, continued, repeated."""
 
-import json
 import os
 import shutil
 import signal
@@ -12,16 +11,16 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.launch import Launch
-from ablate.runs.job import Job
-from ablate.runs.run import Run, State
-from ablate.runs.train import run_job
-from ablate.tracking import default_uri
 from mlflow import MlflowClient
 
+from ablate.command.compose import jobs_of
+from ablate.command.launch import Launch
+from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError, StudySettings
-from ablate.tasks import run_task as tasks
+from ablate.study.job import Job
+from ablate.study.run import read_list
+from ablate.study.training import Training
+from ablate.tasks import study as tasks
 from support.studies import SWEEP, TINY, TinyStudy, Unrendered, run
 
 
@@ -101,8 +100,9 @@ def test_paired_differences_are_those_of_the_per_image_values(finished: Path) ->
     row = paired[(paired["variant"] == "sa2h-att") & (paired["metric"] == "mae")].iloc[0]
     values = {}
     for variant in ("sa2h", "sa2h-att"):
-        table = pd.read_parquet(folder / variant / "seed0" / "per_image.parquet")
-        chosen = (table["split"] == "test") & (table["source"] == "model") & (table["metric"] == "mae")
+        (file,) = folder.glob(f"{variant}-seed0-*/scores/mae@*.parquet")
+        table = pd.read_parquet(file)
+        chosen = (table["split"] == "test") & (table["source"] == "model")
         values[variant] = table[chosen].set_index("frame")["value"]
     difference = (values["sa2h-att"] - values["sa2h"]).to_numpy()
     walsh = [(a + b) / 2 for i, a in enumerate(difference) for b in difference[i:]]
@@ -116,76 +116,76 @@ def test_the_same_command_again_repeats_nothing(finished: Path) -> None:
     assert state(finished) == before
 
 
-@pytest.mark.slow
-def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A finished run is scored again; the process ends in the middle of a file."""
+def test_a_killed_scoring_loses_no_score_and_is_done_by_the_same_command(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process ends in the middle of a file."""
     job, before = sweep(finished)[0], state(finished)
-    result, per_image = job.folder / "result.json", job.folder / "per_image.parquet"
-    whole = json.loads(result.read_text())
-    result.write_text(json.dumps(whole | {"metrics_version": 1}))
+    lost = [job.training.scores / key.file_name for key in job.wanted if key.metric in ("crps", "mae")]
+    contents = [pd.read_parquet(path) for path in lost]
+    for path in lost:
+        path.unlink()
 
-    def killed(_: pd.DataFrame, path: Path) -> None:
+    def killed(_: object, path: Path) -> None:
         path.write_bytes(b"PAR1 and no more")
         raise SystemExit
 
     with monkeypatch.context() as patch:
-        patch.setattr(pd.DataFrame, "to_parquet", killed)
+        patch.setattr("ablate.study.scores.pq.write_table", killed)
         with pytest.raises(SystemExit):
-            run_job(job)
-    assert before[str(per_image)] == per_image.stat().st_mtime
+            tasks.run_job(job)
     assert run(*SWEEP, f"runs_dir={finished}") == 0
-    assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
+    for path, content in zip(lost, contents, strict=True):
+        pd.testing.assert_frame_equal(pd.read_parquet(path), content)
+    kept = {path for path in before if "/scores/" in path} - {str(path) for path in lost}
+    after = state(finished)
+    assert all(after[path] == before[path] for path in kept)
+    checkpoint = str(job.training.checkpoint)
+    assert after[checkpoint] == before[checkpoint], "nothing is trained for a score"
 
-    lacking = {name: value for name, value in whole["scalars"].items() if name != "parameters_generator"}
-    result.write_text(json.dumps(whole | {"scalars": lacking}))
-    assert "parameters_generator in result.json: start it again" in Run(job.folder).why
-    assert run(*SWEEP, f"runs_dir={finished}") == 0
-    assert Run(job.folder).state is State.finished
 
-
-def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) -> None:
-    jobs = sweep(finished, "evaluation.again=true")[:1]
-    folder = jobs[0].folder
-    again = Launch(lambda waiting, work: [work(job) for job in waiting] and None, compares=False)
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    whole = json.loads((folder / "result.json").read_text())
-    wrong = {**whole["scalars"], "test/mae": 0.0}
-    (folder / "result.json").write_text(json.dumps(whole | {"scalars": wrong}))
-    floors = {path: path.read_text() for path in (jobs[0].data.folder / "resimulation").glob("test-*.json")}
-    for path, content in floors.items():
-        path.write_text(content.replace('"mae"', '"psnr"'))
-    assert tasks.study(jobs, again) == 0
-    assert [path.read_text() for path in floors if path.exists()] == [text for p, text in floors.items() if p.exists()]
-    assert any(path.exists() for path in floors), "re-simulation is scored again, too"
-    scored = json.loads((folder / "result.json").read_text())["scalars"]
-    assert scored["test/mae"] == pytest.approx(whole["scalars"]["test/mae"])
-    checkpoint = jobs[0].run.checkpoint
-    assert checkpoint.read_bytes() == before[checkpoint]
-    checkpoint.write_bytes(before[checkpoint][:100])
-    with pytest.raises(ConfigurationError, match=r"evaluation\.again=true: .*last\.ckpt: not a readable checkpoint"):
-        tasks.study(jobs, again)
-    assert jobs[0].run.state is State.finished, "its scores are still good"
-    checkpoint.unlink()
-    with pytest.raises(ConfigurationError, match=r"evaluation\.again=true: .*last\.ckpt"):
-        tasks.study(jobs, again)
-    for path, content in before.items():
-        path.write_bytes(content)
-    assert run(*SWEEP, f"runs_dir={finished}") == 0, "and the store has its copy of it again"
+def test_a_training_whose_checkpoint_is_gone_is_left_alone_until_a_score_is_missing(
+    finished: Path, tmp_path: Path
+) -> None:
+    runs = shutil.copytree(finished, tmp_path / "runs")
+    job = sweep(runs)[0]
+    job.training.checkpoint.unlink()
+    assert job.finished
+    (job.training.scores / job.wanted[0].file_name).unlink()
+    before = state(runs)
+    tasks.run_job(job)
+    assert job.finished
+    after = state(runs)
+    own = [path for path in before if path.startswith(str(job.folder)) and "/scores/" in path]
+    assert all(after[path] != before[path] for path in own), "all scores are of the new weights"
 
 
 def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -> None:
     """Another command has finished the last job meanwhile, and compared."""
-    result = sweep(finished)[0].folder / "result.json"
-    before = result.rename(result.with_suffix(".away"))
-    assert tasks.study(sweep(finished), Launch(lambda *_: before.rename(result) and None)) == 0
+    score = next(sweep(finished)[0].training.scores.glob("mae@*"))
+    away = score.rename(score.with_suffix(".away"))
+    assert tasks.study(sweep(finished), Launch(lambda *_: away.rename(score) and None)) == 0
     client = MlflowClient(default_uri(finished))
     assert {run.info.status for run in client.search_runs(["1"])} == {"FINISHED"}
 
 
-def test_another_configuration_in_the_study_is_refused_and_nothing_is_lost(finished: Path) -> None:
+def test_another_configuration_of_the_same_names_is_another_training_and_nothing_is_lost(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = state(finished)
-    with pytest.raises(ValueError, match=r"holds another configuration.*training\.steps: 6 there, 9 here"):
-        run(*SWEEP, f"runs_dir={finished}", "training.steps=9")
+    assert run("variant=sa2h", *TINY, f"runs_dir={finished}", "training.steps=2") == 0
+    printed = capsys.readouterr().out
+    assert "the comparison before this one had sa2h/seed0, sa2h-att/seed0 too" in printed
+    kept = {path: time for path, time in before.items() if "/comparison/" not in path}
+    assert state(finished).items() >= kept.items()
+    assert len(list(finished.glob("tiny-fetal/sa2h-seed0-*"))) == 2
+    assert run(*SWEEP, f"runs_dir={finished}") == 0, "and the first two are compared again"
+    assert [r.name for r in read_list(finished / "tiny-fetal").runs] == ["sa2h/seed0", "sa2h-att/seed0"]
+
+
+def test_repeating_one_job_of_a_sweep_keeps_its_comparison(finished: Path) -> None:
+    before = state(finished)
+    assert run("variant=sa2h", *TINY, f"runs_dir={finished}") == 0
     assert state(finished) == before
 
 
@@ -196,9 +196,9 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     report.unlink()
     assert run("task=compare", *TINY, f"runs_dir={finished}") == 0
     assert report.exists()
-    assert "scores nothing" not in capsys.readouterr().out
-    assert run("task=compare", *TINY, f"runs_dir={finished}", "evaluation.again=true") == 0
-    assert "Note: evaluation.again: task=compare scores nothing" in capsys.readouterr().out
+    assert "sa2h-att" in capsys.readouterr().out, "the comparison that the study has"
+    with pytest.raises(ConfigurationError, match=r"no finished run of this command \(nsa2h/seed3\)\. It holds .*sa2h/"):
+        run("task=compare", "-m", "variant=nsa2h", "seed=3", *TINY, f"runs_dir={finished}")
     assert run("task=plan", *SWEEP, "seed=0,1", f"runs_dir={finished}") == 0
     printed = capsys.readouterr().out
     assert printed.count(" finished ") == 2
@@ -218,7 +218,7 @@ def test_a_job_that_fails_is_said_and_the_others_are_compared(
     def launch(waiting: Sequence[Job], work: Callable[[Job], object]) -> None:
         assert list(waiting) == jobs
         work(jobs[0])
-        monkeypatch.setattr("ablate.runs.train.train", broken)
+        monkeypatch.setattr("ablate.study.work.train", broken)
         with pytest.raises(FloatingPointError):
             work(jobs[1])
 
@@ -258,18 +258,18 @@ def test_a_killed_sweep_is_finished_by_the_same_command(tmp_path: Path) -> None:
     simulated = shards()
     assert 0 < len(simulated) < 4
 
-    place = tmp_path / "tiny-fetal" / "sa2h" / "seed0"
     second = start(*again)
-    wait_for(lambda: (place / "last.ckpt").exists(), second)
+    wait_for(lambda: list(tmp_path.glob("tiny-fetal/sa2h-seed0-*/last.ckpt")), second)
     os.kill(second.pid, signal.SIGKILL)
     second.wait()
-    assert not (place / "result.json").exists()
+    (place,) = tmp_path.glob("tiny-fetal/sa2h-seed0-*")
+    assert not Training(place).is_trained
 
     done = subprocess.run(again, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert {p: m for p, m in shards().items() if p in simulated} == simulated
-    assert len(list(tmp_path.glob("tiny-fetal/*/seed0/result.json"))) == 2
-    assert json.loads((place / "result.json").read_text())["scalars"]["train/resumed_at"] >= 2
+    assert len(list(tmp_path.glob("tiny-fetal/*/trained.json"))) == 2
+    assert Training(place).result["scalars"]["train/resumed_at"] >= 2
     client = MlflowClient(default_uri(tmp_path))
     (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
     runs = client.search_runs([experiment.experiment_id])
@@ -283,10 +283,6 @@ def test_whatever_lies_beside_a_study_can_give_none_its_name(finished: Path) -> 
     for name in (*beside, "precision", "stability", "slurm", "mlflow.db-journal"):
         with pytest.raises(ValueError, match=r"^study_name="):
             StudySettings(study_name=name)
-    for folder in {path.parent.parent.name for path in finished.glob("tiny-fetal/*/*")} - {"sa2h", "sa2h-att"}:
-        if folder != "tiny-fetal":
-            with pytest.raises(ValueError, match=r"^variant="):
-                Job(StudySettings(), folder)
 
 
 @pytest.mark.parametrize("name", ["..", "comparison/.."])
@@ -294,8 +290,9 @@ def test_a_comparison_replaces_nothing_outside_its_study(finished: Path, tmp_pat
     thesis = tmp_path / "comparison" / "thesis.txt"
     thesis.parent.mkdir()
     thesis.write_text("the only copy")
-    shutil.copytree(finished / "tiny-fetal" / "sa2h", tmp_path / "sa2h")
-    shutil.copytree(finished / "tiny-fetal" / "sa2h", tmp_path / "runs" / "comparison" / "sa2h")
+    shutil.copytree(finished / "tiny-fetal", tmp_path, dirs_exist_ok=True)
+    thesis.write_text("the only copy")
+    shutil.copytree(finished / "tiny-fetal", tmp_path / "runs" / "comparison")
     with pytest.raises(ValueError, match=r"^study_name="):
         run("task=compare", *TINY, f"runs_dir={tmp_path / 'runs'}", f"study_name={name}")
     assert thesis.read_text() == "the only copy"

@@ -19,8 +19,7 @@ if _CHROMIUM is None or _DRIVER is None:
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
-from ablate.jobs.compose import jobs_of  # noqa: E402
-
+from ablate.command.compose import jobs_of  # noqa: E402
 from ablate.viewer.session import Quality  # noqa: E402
 from ablate.viewer.task import HOST, Viewer  # noqa: E402
 from support import viewed_body  # noqa: E402

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from ablate.jobs.compose import jobs_of
 
 import ablate
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
+from ablate.command.compose import jobs_of
 from ablate.networks import Generator, GeneratorSpec
 from ablate.pretrained import NAMES, load
 from ablate.training import TrainingPrecision

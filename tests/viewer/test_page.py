@@ -16,12 +16,11 @@ from trimesh.transformations import translation_matrix
 
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 
-from ablate.jobs.compose import jobs_of
-from ablate.runs.prepare import simulator_of
-from ablate.runs.simulated import build_scene
-
+from ablate.command.compose import jobs_of
 from ablate.dataset import read_poses
 from ablate.settings.study import ConfigurationError, Task
+from ablate.sources.prepare import simulator_of
+from ablate.sources.simulated import build_scene
 from ablate.ultrasound import Simulator
 from ablate.viewer.task import Viewer, check_server
 from ablate.viewer.worker import REST_S

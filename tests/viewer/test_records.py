@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from ablate.jobs.compose import jobs_of
 
 from ablate.anatomy import Scene, Structure, load_tissues
+from ablate.command.compose import jobs_of
 from ablate.ultrasound import TimeGain
 from ablate.viewer.engine import Engine
 from ablate.viewer.records import Sweep, command_line

@@ -240,9 +240,8 @@ def without_repetitions(jobs: Sequence[Job]) -> list[Job]:
         twin = named.setdefault((place, job.name), job)
         if twin.hash != job.hash:
             unlike = ", ".join(key for key, *_ in differences(twin.identity, job.identity))
-            raise ConfigurationError(
-                f"two jobs of this sweep are called {job.name} and differ in {unlike}; give each a study_name of its own"
-            )
+            apart = "give each a study_name of its own"
+            raise ConfigurationError(f"two jobs of this sweep are called {job.name} and differ in {unlike}; {apart}")
         scores = (str(settings.metrics), settings.evaluation.noise_draws, settings.evaluation.inception)
         first.setdefault((place, job.hash, scores), job)
     return list(first.values())

@@ -8,7 +8,7 @@ from typing import Any
 from ablate.analysis import listed
 from ablate.setting import flat
 from ablate.settings.conf import components
-from ablate.study.job import differences, identity_key
+from ablate.study.job import Job, differences, identity_key
 from ablate.study.run import Run, RunList
 from ablate.training.settings import TRAINING_VERSION
 from ablate.ultrasound.settings import SIMULATOR_VERSION
@@ -57,9 +57,9 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
         elsewhere = [run for run in runs if run.data != chosen]
         varied = {identity_key(key) for key in factors_of(runs)} | {_ANATOMY}
         runs = [run for run in runs if run.data == chosen]
-        pairs = runs[0].training.identity["data"]
+        pairs = runs[0].identity["data"]
         for run in elsewhere:
-            unlike = {key for key, *_ in differences(run.training.identity["data"], pairs, "data")}
+            unlike = {key for key, *_ in differences(run.identity["data"], pairs, "data")}
             if unlike <= varied:
                 blocks.append(run)
         part = f"{'takes' if len(blocks) == 1 else 'take'} part in effects and verdicts only"
@@ -71,7 +71,7 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
         if names
     ]
     used = [*runs, *blocks]
-    notes += [*_untold(runs, asked.reference), *_counted_twice(used), *_versions(used)]
+    notes += [*untold_differences(runs, asked.reference), *_counted_twice(used), *_versions(used)]
     return ComparableRuns(tuple(runs), tuple(blocks), tuple(notes))
 
 
@@ -86,7 +86,7 @@ def _of_same_pixels(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
 
 def _versions(runs: Sequence[Run]) -> list[str]:
     """A sentence where runs are of other versions of the simulator or the training than this program."""
-    identities = [dict(flat(run.training.identity)) for run in runs]
+    identities = [dict(flat(run.identity)) for run in runs]
     notes = []
     for key, (what, version) in _VERSIONS.items():
         found = {identity[key] for identity in identities if key in identity}
@@ -96,16 +96,19 @@ def _versions(runs: Sequence[Run]) -> list[str]:
     return notes
 
 
-def _untold(runs: Sequence[Run], reference: str) -> list[str]:
-    """A sentence for each key in which networks differ though their labels do not tell it."""
+def untold_differences(jobs: Sequence[Job | Run], reference: str) -> list[str]:
+    """A sentence for each key in which networks differ though their labels do not tell it.
+
+    `jobs` are those of a command that are still to be done, or runs that are.
+    """
     declared = {component.key for component in components()}
-    swept = {key for run in runs for key in run.changed}
-    levels = {run.label: levels_of(run.training.identity) for run in runs}
+    swept = {key for job in jobs for key in dict(job.changed)}
+    levels = {job.label: levels_of(job.identity) for job in jobs}
     notes = []
     for key in sorted({key for level in levels.values() for key in level}):
         if key.startswith("model.") or key in declared or key in _TOLD_BY_VARIANTS:
             continue
-        silent = {run.label for run in runs if key not in run.changed}
+        silent = {job.label for job in jobs if key not in dict(job.changed)}
         value_of = {label: level[key] for label, level in levels.items() if key in level and label in silent}
         is_of_reference = key in swept and reference not in value_of
         if value_of and (len(set(value_of.values())) > 1 or is_of_reference):
@@ -114,7 +117,7 @@ def _untold(runs: Sequence[Run], reference: str) -> list[str]:
 
 
 def _counted_twice(runs: Sequence[Run]) -> list[str]:
-    """A sentence for each run with the frames and scores of another one, as where a scene has fewer poses than asked."""
+    """A sentence for each run with the frames and scores of another, as where a scene has fewer poses than asked."""
     first: dict[object, Run] = {}
     notes = []
     for run in runs:

@@ -223,6 +223,6 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
     if unscored:
         how = "evaluation.inception=path/to/file or =download"
         notes.append(f"{listed(unscored)}: not computed, no Inception weights were given ({how}).")
-    if not any(levels_of(run.training.identity).get("model.extra_input") == "low" for run in runs):
+    if not any(levels_of(run.identity).get("model.extra_input") == "low" for run in runs):
         notes.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
     return notes

@@ -63,7 +63,7 @@ def read_times(study_dir: Path) -> pd.DataFrame:
 
 def timed_on(runs: Sequence[Run]) -> str:
     """The machine on which most networks of these runs were timed, of several the last; empty without times."""
-    times, networks = read_times(runs[0].training.folder.parent), {network_of(run.training.identity) for run in runs}
+    times, networks = read_times(runs[0].training.folder.parent), {network_of(run.identity) for run in runs}
     counts = times[times["network"].isin(networks)].groupby("machine", sort=False)["network"].nunique()
     return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
 
@@ -78,7 +78,7 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
         times = read_times(runs[0].training.folder.parent)
         frames = times[times["machine"] == machine].groupby(["network", "round"], sort=False)["ms"].sum()
         timed = frames.groupby("network", sort=False).quantile(np.array([0.5, 0.25, 0.75])).unstack()
-        known = [(run, of) for run in runs if (of := network_of(run.training.identity)) in timed.index]
+        known = [(run, of) for run in runs if (of := network_of(run.identity)) in timed.index]
         rows = [(run.label, run.seed, run.data, FRAME_TIME, *timed.loc[network]) for run, network in known]
     return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
 
@@ -87,7 +87,7 @@ def untimed(runs: Sequence[Run]) -> list[str]:
     """A sentence about the variants that have no time beside the others'; none where all have one."""
     times, shown = read_times(runs[0].training.folder.parent), timed_on(runs)
     timed = set(times["network"][times["machine"] == shown])
-    missing = dict.fromkeys(run.label for run in runs if network_of(run.training.identity) not in timed)
+    missing = dict.fromkeys(run.label for run in runs if network_of(run.identity) not in timed)
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
 
 
@@ -99,9 +99,9 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
     """
     to_time = {
-        network_of(run.training.identity): run
+        network_of(run.identity): run
         for run in reversed(runs)
-        if run.training.checkpoint.is_file() or run.training.identity["model"].get("family") != Family.custom.value
+        if run.training.checkpoint.is_file() or run.identity["model"].get("family") != Family.custom.value
     }
     if not to_time:
         return ""
@@ -131,7 +131,7 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     those beside it. Then it renders with each network; the next round takes them in the opposite order. The frames are
     those of the last anatomy whose pairs are here, of each kind of pairs.
     """
-    kinds = {network: digest(without_anatomy(run.training.identity["data"])) for network, run in runs.items()}
+    kinds = {network: digest(without_anatomy(run.identity["data"])) for network, run in runs.items()}
     in_order = sorted(runs.items(), key=lambda named: named[1].training.data_set.exists)
     chosen = {kinds[network]: run for network, run in in_order}  # the last counts
     data = {kind: run.training.data_set for kind, run in chosen.items()}
@@ -143,7 +143,7 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
             generator = load_generator(run.training.checkpoint)
         else:  # the weights that a training starts with
             generator = Generator(replace(s.model, labels=values.shape[1])).eval()
-        precision = TrainingPrecision[run.training.identity["training"]["precision"]]
+        precision = TrainingPrecision[run.identity["training"]["precision"]]
         render[network] = generated_images(generator.to(device), data[kind].pairs, values, precision)
         reads[network] = Read(kind, conditions(generator.spec), generator.spec.space)
     make = {kind: _map_maker(chosen[kind].training.settings, of_kind) for kind, of_kind in data.items()}

@@ -129,11 +129,11 @@ class Answers:
 
 def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
     """Find the design of runs, which may show several anatomies, and judge its components."""
-    levels = {run.label: levels_of(run.training.identity) for run in runs}
+    levels = {run.label: levels_of(run.identity) for run in runs}
     told = {run.label: run.changed | levels[run.label] for run in runs}  # with seeds and groups that a label names
     factors = factors_of(runs)
     judged = analysis.with_undeclared(components(), factors)
-    block = {run.data: str(run.training.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}
+    block = {run.data: str(run.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}
     per_image, scalars = scored_frames(runs)
     design = analysis.find_design(levels, factors, reference)
     means = analysis.run_means(per_image, scalars, design)

@@ -42,6 +42,10 @@ class Run:
         return f"{self.label}/seed{self.seed}"
 
     @property
+    def identity(self) -> dict[str, Any]:
+        return self.training.identity
+
+    @property
     def data(self) -> str:
         """The name of its pairs."""
         return self.training.data_set.name

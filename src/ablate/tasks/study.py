@@ -12,6 +12,7 @@ from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
+from ablate.study.comparable import untold_differences
 from ablate.study.job import Job, trainings_of
 from ablate.study.log import Status
 from ablate.study.run import RunList, listed_runs, read_list, with_earlier
@@ -25,7 +26,7 @@ def study(jobs: Sequence[Job], launch: Launch) -> int:
     timing: `task=compare` on another node does that.
     """
     asked = without_repetitions(jobs)
-    for line in _said_of_repetitions(jobs):
+    for line in (*_said_of_repetitions(jobs), *_said_of_differences(asked)):
         print(line)
     waiting = [job for job in asked if not job.finished]
     if waiting and not launch.elsewhere:
@@ -64,6 +65,13 @@ def _said_of_repetitions(jobs: Sequence[Job]) -> list[str]:
         for several in names.values()
         if len(several) > 1
     ]
+
+
+def _said_of_differences(jobs: Sequence[Job]) -> list[str]:
+    """A line for each key in which networks of one study differ though their labels do not tell it."""
+    groups = [trainings_of(group) for group in _by_study(jobs)]
+    notes = [note for group in groups for note in untold_differences(group, group[0].settings.reference)]
+    return [f"Note: {note}" for note in notes]
 
 
 @contextmanager
