@@ -18,6 +18,8 @@ from ablate.dataset import (
     CropSettings,
     DamagedShardError,
     Pairs,
+    PlacedFrames,
+    StoredAs,
     create_pairs,
     fill_pairs,
     network_inputs,
@@ -41,9 +43,8 @@ def stack() -> np.ndarray:
 @pytest.fixture(scope="module")
 def pairs(tmp_path_factory: pytest.TempPathFactory, stack: np.ndarray) -> Pairs:
     folder, mask = tmp_path_factory.mktemp("pairs"), stack[0] > 0
-    made = create_pairs(
-        folder, np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), mask, 3, ["a"], {}
-    )
+    placed = PlacedFrames(np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), mask)
+    made = create_pairs(folder, placed, StoredAs(3, ["a"]), {})
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> dict[str, np.ndarray]:
         return {m: stack[frames] / 255 if m == "attenuation" else stack[frames] for m in maps}
@@ -225,7 +226,8 @@ def test_crops_hold_the_share_of_the_fan_that_is_asked_for(pairs: Pairs, share: 
 
 
 def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: Pairs) -> None:
-    made = create_pairs(tmp_path, pairs.poses, pairs.sites, pairs.split, pairs.mask(), 3, ["a"], {})
+    placed = PlacedFrames(pairs.poses, pairs.sites, pairs.split, pairs.mask())
+    made = create_pairs(tmp_path, placed, StoredAs(3, ["a"]), {})
     list(fill_pairs(made, MAPS, lambda frames, maps: {m: np.ones((len(frames), H, W)) for m in maps}))
     file = made.shard_file("target", 1)
     file.write_bytes(file.read_bytes()[:-1])

@@ -169,10 +169,11 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], abo
     names = [checked.names[i] for i in order]
     frames = [{"name": checked.names[i], "site": checked.sites[i]} for i in order]
     about = {**about, "tissues": [plain(tissue) for tissue in tissues], "left_out": left_out, "frames": frames}
-    placed = np.full((len(names), 4, 4), np.nan), sites[order], split[order], mask  # where the probe was is not known
-    of_beam = Space.image, checked.probe, checked.beam_shape
+    poses = np.full((len(names), 4, 4), np.nan)  # where the probe was is not known
+    placed = dataset.PlacedFrames(poses, sites[order], split[order], mask)
     names_of_tissues = [tissue.name for tissue in tissues]
-    pairs = dataset.create_pairs(folder, *placed, chosen.shard, names_of_tissues, about, *of_beam)
+    stored_as = dataset.StoredAs(chosen.shard, names_of_tissues, Space.image, checked.probe, checked.beam_shape)
+    pairs = dataset.create_pairs(folder, placed, stored_as, about)
     dataset.import_pairs(checked, names, pairs, maps)
 
 

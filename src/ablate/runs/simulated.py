@@ -106,8 +106,10 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     poses = {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped}
     about = {**about, "tissues": [plain(t) for t in scene.tissues], "left_out": left_out, "poses": poses}
     about |= {"time_gain_db": simulator.time_gain_db}
-    placed = layout.poses, layout.sites, layout.split, fan_mask(settings.probe, settings.simulator.image_shape)
-    names, in_beam_space = [t.name for t in scene.tissues], (Space.beam, settings.probe, simulator.beam_shape)
-    pairs = dataset.create_pairs(folder, *placed, settings.dataset.shard, names, about, *in_beam_space)
+    mask = fan_mask(settings.probe, settings.simulator.image_shape)
+    frames = dataset.PlacedFrames(layout.poses, layout.sites, layout.split, mask)
+    names = [tissue.name for tissue in scene.tissues]
+    stored_as = dataset.StoredAs(settings.dataset.shard, names, Space.beam, settings.probe, simulator.beam_shape)
+    pairs = dataset.create_pairs(folder, frames, stored_as, about)
     recipe = Recipe(scene, settings.probe, simulator, settings.dataset.seed)
     dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers)
