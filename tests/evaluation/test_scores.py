@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import shutil
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,8 +16,8 @@ import torch
 
 from ablate.anatomy import load_tissues
 from ablate.dataset import Part
-from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
-from ablate.evaluation.scorer import not_computed
+from ablate.evaluation import ImageSource, Scorer, Scores, joined, resimulation_images, score_run, tissue_labels
+from ablate.evaluation.scores import not_computed
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.preflight import check
 from ablate.metrics import (
@@ -231,11 +232,9 @@ def test_distances_that_frames_do_not_allow_are_left_out_in_words(
 ) -> None:
     mask = np.zeros(shape, bool)
     mask[fan] = True
-    names, notes = not_computed(
-        choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None
-    )
-    assert names == missing
-    assert note in " ".join(notes)
+    reasons = not_computed(choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None)
+    assert reasons.keys() == missing
+    assert note in " ".join(reasons.values())
 
 
 def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, calls: list[Part]) -> None:
@@ -248,12 +247,54 @@ def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, call
     assert first.scalars == second.scalars
     assert first.scalars["test/floor_noise_sd"] > 0
     score(job(runs, "metrics=mae").settings, data)
-    assert len(calls) == 10, "other metrics, other scores"
+    assert len(calls) == 8, "what is known of a metric is known beside any others"
+    more = score(job(runs, "metrics=[mae,mae_fan]").settings, data)
+    assert len(calls) == 12, "another metric, other scores"
+    assert more.scalars["test/floor_mae"] == first.scalars["test/floor_mae"]
     for kept in (data.pairs.folder / "resimulation").glob("*.json"):
         kept.write_text("{")
     third = score(settings, data)
-    assert len(calls) == 14, "damaged files are made again"
+    assert len(calls) == 16, "damaged files are made again"
     assert third.scalars == first.scalars
+    pd.testing.assert_frame_equal(third.per_image, first.per_image)
+
+
+def reads_draws(pair: Pair) -> float:
+    """A user's metric that is no metric of draws, but would read them where it finds them."""
+    return float(pair.prediction.mean()) if pair.draws is None else -1.0
+
+
+def test_no_score_depends_on_which_other_metrics_are_asked_for(
+    runs: Path, data: Data, network: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values, intervals and floors of each metric alone, bit by bit, without what is kept of re-simulation."""
+    monkeypatch.setitem(sys.modules, "of_mine", sys.modules[__name__])
+    settings = job(runs, "evaluation.noise_draws=3").settings
+    names = ["psnr", "crps", "noise_sd", "of_mine.reads_draws", "pchi2", "fd_speckle", "fid", "kd_speckle"]
+    inception = load_inception(network)
+
+    def images_of(frames: np.ndarray, draw: int) -> np.ndarray:
+        noise = [np.random.default_rng([frame, draw]).integers(0, 60, data.pairs.shape) for frame in frames]
+        return (data.pairs.read("resimulation", frames) // 2 + np.stack(noise)).astype(np.uint8)
+
+    def scores_of(*asked: str) -> Scores:
+        shutil.rmtree(data.pairs.folder / "resimulation", ignore_errors=True)
+        metrics = choose_metrics(asked)
+        scorer = Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
+        return score_run(scorer, images_of, draws_noise=True)
+
+    together = scores_of(*names)
+    alone = {name.rpartition(".")[2]: scores_of(name) for name in names}
+    for name, scores in alone.items():
+        of_metric = together.of_metric(name)
+        assert of_metric.scalars == scores.scalars
+        assert {f"test/{name}", f"val/{name}", f"test/floor_{name}"} <= scores.scalars.keys()
+        assert of_metric.per_image.to_dict("list") == scores.per_image.to_dict("list")
+    assert alone["fid"].scalars.keys() >= {"test/fid_lower", "test/floor_fid_upper"}
+    again = joined(list(alone.values()))
+    assert again.scalars == together.scalars
+    assert again.notes == together.notes
+    pd.testing.assert_frame_equal(again.per_image, together.per_image)
 
 
 def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs: Path, data: Data) -> None:
