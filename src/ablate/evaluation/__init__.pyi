@@ -7,3 +7,4 @@ from .scorer import tissue_labels as tissue_labels
 from .scores import Scores as Scores
 from .scores import joined as joined
 from .settings import EvaluationSettings as EvaluationSettings
+from .timing import time_in_turns as time_in_turns
