@@ -129,6 +129,7 @@ FRAMES = "name,site,part\na_0,1,train\na_1,1,train\nb_0,2,validation\nb_1,2,vali
         ("image/d_0.png", png(W, H, 8, 0), r"segmentation/d_0\.png: missing, though its partner .*image/d_0"),
         ("image/a_1.png", png(W + 1, H, 8, 0), r"image/a_1\.png: is 31 x 20 px, but .*a_0\.png is 30 x 20"),
         ("image/a_1.png", png(W, H, 8, 2), r"image/a_1\.png: is 8-bit RGB; allowed is 8-bit grey"),
+        ("segmentation/a_1.png", png(W, H, 4, 0), r"segmentation/a_1\.png: is 4-bit grey; allowed is 8-bit grey"),
         ("segmentation/a_1.png", png(W, H, 8, 3), r"segmentation/a_1\.png: is 8-bit with a palette"),
         ("image/a_0.png", png(60_000, 60_000, 8, 0), r"a_0\.png: is 60000 x 60000 px; allowed are 1 to 16777216"),
         ("image/a_1.png", "JFIF", r"image/a_1\.png: not a PNG file"),
