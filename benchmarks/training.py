@@ -33,7 +33,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.tracking import hardware
 from torch import Tensor
 
-from ablate.dataset import CropLoader, Crops, CropSettings, create_pairs, fill_pairs, open_pairs
+from ablate.dataset import CropLoader, Crops, CropSettings, PlacedFrames, StoredAs, create_pairs, fill_pairs, open_pairs
 from ablate.networks import conditions, draws_noise
 from ablate.settings.study import StudySettings
 from ablate.training import Reconstruction, TrainingPrecision, chosen_device, chosen_precision, train
@@ -51,9 +51,8 @@ def drawn_pairs(folder: Path, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(0)
     height, width = shape
     across = np.abs(np.linspace(-1, 1, width)) < np.linspace(0.3, 1, height)[:, None]
-    pairs = create_pairs(
-        folder, np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), across, FRAMES, ["a"], {}
-    )
+    placed = PlacedFrames(np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), across)
+    pairs = create_pairs(folder, placed, StoredAs(FRAMES, ["a"]), {})
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> dict[str, np.ndarray]:
         made = {name: rng.integers(1, 255, (len(frames), *shape)) * across for name in maps}

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
-from ablate.dataset import Pairs, Part, Recipe, create_pairs
+from ablate.dataset import Pairs, Part, PlacedFrames, Recipe, StoredAs, create_pairs
 from ablate.networks import Space
 from ablate.ultrasound import ConvexProbe, SimulatorSettings, fan_mask
 
@@ -37,9 +37,9 @@ def blank(recipe: Recipe) -> Blank:
         split = np.full(frames, Part.train, np.uint8)
         split[-4:] = Part.validation, Part.validation, Part.test, Part.test
         mask = fan_mask(recipe.probe, recipe.settings.image_shape)
-        of_beam = Space.beam, recipe.probe, recipe.settings.beam_shape
-        placed, tissues = (poses, np.arange(frames), split, mask), ["gel", "tissue"]
-        return create_pairs(folder, *placed, shard, tissues, {"made": "so"}, *of_beam)
+        placed = PlacedFrames(poses, np.arange(frames), split, mask)
+        stored_as = StoredAs(shard, ["gel", "tissue"], Space.beam, recipe.probe, recipe.settings.beam_shape)
+        return create_pairs(folder, placed, stored_as, {"made": "so"})
 
     return lay_out
 

@@ -1,13 +1,8 @@
 """Crops are windows of one frame that touch the fan, and depend on (seed, step, index) alone."""
 
-import _thread
 import hashlib
-import os
-import subprocess
-import sys
-import time
+import threading
 import tracemalloc
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +18,8 @@ from ablate.dataset import (
     CropSettings,
     DamagedShardError,
     Pairs,
+    PlacedFrames,
+    StoredAs,
     create_pairs,
     fill_pairs,
     network_inputs,
@@ -46,9 +43,8 @@ def stack() -> np.ndarray:
 @pytest.fixture(scope="module")
 def pairs(tmp_path_factory: pytest.TempPathFactory, stack: np.ndarray) -> Pairs:
     folder, mask = tmp_path_factory.mktemp("pairs"), stack[0] > 0
-    made = create_pairs(
-        folder, np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), mask, 3, ["a"], {}
-    )
+    placed = PlacedFrames(np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), mask)
+    made = create_pairs(folder, placed, StoredAs(3, ["a"]), {})
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> dict[str, np.ndarray]:
         return {m: stack[frames] / 255 if m == "attenuation" else stack[frames] for m in maps}
@@ -180,38 +176,33 @@ def test_a_resumed_loader_continues_where_the_other_was(pairs: Pairs, workers: i
 
 
 def test_a_loader_that_is_left_leaves_no_thread(pairs: Pairs) -> None:
-    before = _thread._count()
+    before = set(threading.enumerate())
     batches = iter(CropLoader(crops(pairs), 0, 1000, 2))
     next(batches)
+    assert set(threading.enumerate()) > before
     batches.close()  # type: ignore[attr-defined]
-    until = time.monotonic() + 10.0
-    while _thread._count() > before and time.monotonic() < until:
-        time.sleep(0.01)
-    assert _thread._count() <= before
+    assert set(threading.enumerate()) <= before
 
 
-def no_thread(*_: object) -> None:
-    raise RuntimeError("can't start new thread")
+def test_batches_are_prepared_while_one_is_in_use_and_not_more_than_asked_for() -> None:
+    """With two workers, the batch that is in use has two others behind it, and none before anybody asks."""
+    made: list[int] = []
+    third = threading.Event()
 
+    class Counted:
+        def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
+            made.append(step)
+            if len(made) == 3:
+                third.set()
+            return {"step": torch.tensor(step)}
 
-@pytest.mark.parametrize("start", [no_thread, lambda *_: None], ids=["refused", "ends without a word"])
-def test_a_batch_whose_thread_finds_no_memory_is_made_here(
-    pairs: Pairs, monkeypatch: pytest.MonkeyPatch, start: Callable[..., None]
-) -> None:
-    made = crops(pairs, flip=True)
-    whole = [made[step] for step in range(5)]
-    monkeypatch.setattr("ablate.dataset.crops._thread.start_new_thread", start)
-    monkeypatch.setattr("ablate.dataset.crops._LOST_S", 0.01)
-    assert all(same(a, b) for a, b in zip(whole, CropLoader(crops(pairs, flip=True), 0, 5, 2), strict=True))
-
-
-def test_no_failed_allocation_makes_the_loader_wait_for_ever() -> None:
-    """CPython's own test module makes allocations fail; a loader with futures hung in most of the cases."""
-    pytest.importorskip("_testcapi", reason="this Python comes without its test modules")
-    script = Path(__file__).parents[1] / "support" / "without_memory.py"
-    alone = {**os.environ, "OMP_NUM_THREADS": "1"}
-    ended = subprocess.run([sys.executable, script, "80"], env=alone, capture_output=True, text=True, check=False)
-    assert ended.stdout == "0 of 60 hang\n", ended.stderr[-2000:]
+    batches = iter(CropLoader(Counted(), 7, 20, 2))  # type: ignore[arg-type]
+    assert made == []
+    assert next(batches)["step"] == 7
+    assert third.wait(10)
+    assert sorted(made) == [7, 8, 9]
+    assert [int(batch["step"]) for batch in batches] == list(range(8, 20))
+    assert sorted(made) == list(range(7, 20))
 
 
 def test_what_a_thread_raises_is_raised_by_the_loader(pairs: Pairs, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,7 +226,8 @@ def test_crops_hold_the_share_of_the_fan_that_is_asked_for(pairs: Pairs, share: 
 
 
 def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: Pairs) -> None:
-    made = create_pairs(tmp_path, pairs.poses, pairs.sites, pairs.split, pairs.mask(), 3, ["a"], {})
+    placed = PlacedFrames(pairs.poses, pairs.sites, pairs.split, pairs.mask())
+    made = create_pairs(tmp_path, placed, StoredAs(3, ["a"]), {})
     list(fill_pairs(made, MAPS, lambda frames, maps: {m: np.ones((len(frames), H, W)) for m in maps}))
     file = made.shard_file("target", 1)
     file.write_bytes(file.read_bytes()[:-1])

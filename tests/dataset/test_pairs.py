@@ -9,7 +9,17 @@ import pytest
 import zarr
 from filelock import FileLock
 
-from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs, open_pairs, remove_damaged
+from ablate.dataset import (
+    DamagedShardError,
+    Pairs,
+    Part,
+    PlacedFrames,
+    StoredAs,
+    create_pairs,
+    fill_pairs,
+    open_pairs,
+    remove_damaged,
+)
 from ablate.dataset.pairs import PAIRS_VERSION
 
 SHAPE = (24, 40)
@@ -36,7 +46,8 @@ class Recorder:
 def empty(tmp_path: Path) -> Pairs:
     n = len(SPLIT)
     poses = np.tile(np.eye(4), (n, 1, 1))
-    return create_pairs(tmp_path / "set", poses, np.arange(n), SPLIT, np.ones(SHAPE, bool), 4, ["gel"], {"a": 1})
+    placed = PlacedFrames(poses, np.arange(n), SPLIT, np.ones(SHAPE, bool))
+    return create_pairs(tmp_path / "set", placed, StoredAs(4, ["gel"]), {"a": 1})
 
 
 @pytest.fixture

@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 from skimage.io import imread, imsave
 
-from ablate.dataset import Part, PngFolder, content_digest, create_pairs, import_pairs, read_fan, validate_png_folder
+from ablate.dataset import (
+    Part,
+    PlacedFrames,
+    PngFolder,
+    StoredAs,
+    content_digest,
+    create_pairs,
+    import_pairs,
+    read_fan,
+    validate_png_folder,
+)
 from ablate.networks import Space
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import pixel_coordinates_mm, square_pixels
@@ -37,8 +47,8 @@ def folder(tmp_path: Path) -> Path:
 def imported(checked: PngFolder, path: Path) -> dict[str, np.ndarray]:
     mask, _ = read_fan(checked)
     n = len(checked.names)
-    poses, part = np.zeros((n, 4, 4)), np.zeros(n, np.uint8)
-    pairs = create_pairs(path, poses, np.arange(n), part, mask, 2, ["x"] * 3, {})
+    placed = PlacedFrames(np.zeros((n, 4, 4)), np.arange(n), np.zeros(n, np.uint8), mask)
+    pairs = create_pairs(path, placed, StoredAs(2, ["x"] * 3), {})
     import_pairs(checked, checked.names, pairs, checked.maps)
     assert not pairs.missing(checked.maps)
     assert pairs.maps == checked.maps
@@ -119,6 +129,7 @@ FRAMES = "name,site,part\na_0,1,train\na_1,1,train\nb_0,2,validation\nb_1,2,vali
         ("image/d_0.png", png(W, H, 8, 0), r"segmentation/d_0\.png: missing, though its partner .*image/d_0"),
         ("image/a_1.png", png(W + 1, H, 8, 0), r"image/a_1\.png: is 31 x 20 px, but .*a_0\.png is 30 x 20"),
         ("image/a_1.png", png(W, H, 8, 2), r"image/a_1\.png: is 8-bit RGB; allowed is 8-bit grey"),
+        ("segmentation/a_1.png", png(W, H, 4, 0), r"segmentation/a_1\.png: is 4-bit grey; allowed is 8-bit grey"),
         ("segmentation/a_1.png", png(W, H, 8, 3), r"segmentation/a_1\.png: is 8-bit with a palette"),
         ("image/a_0.png", png(60_000, 60_000, 8, 0), r"a_0\.png: is 60000 x 60000 px; allowed are 1 to 16777216"),
         ("image/a_1.png", "JFIF", r"image/a_1\.png: not a PNG file"),
@@ -190,9 +201,9 @@ def test_with_their_fan_pairs_are_read_in_beam_space(tmp_path: Path) -> None:
         save(tmp_path / "segmentation" / f"{name}.png", labels.astype(np.uint8))
         save(tmp_path / "attenuation" / f"{name}.png", np.uint16(257) * image)
     checked = validate_png_folder(tmp_path)
-    placed = np.zeros((5, 4, 4)), np.arange(5), np.zeros(5, np.uint8), mask
-    of_beam = Space.image, checked.probe, checked.beam_shape
-    pairs = create_pairs(tmp_path / "set", *placed, 2, ["x"] * 2, {}, *of_beam)
+    placed = PlacedFrames(np.zeros((5, 4, 4)), np.arange(5), np.zeros(5, np.uint8), mask)
+    stored_as = StoredAs(2, ["x"] * 2, Space.image, checked.probe, checked.beam_shape)
+    pairs = create_pairs(tmp_path / "set", placed, stored_as, {})
     import_pairs(checked, checked.names, pairs, checked.maps)
     assert pairs.beam_shape == (384, 128)
     beam = {name: pairs.read(name, [0], Space.beam)[0] for name in checked.maps}

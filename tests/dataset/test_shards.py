@@ -8,7 +8,7 @@ import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs
+from ablate.dataset import DamagedShardError, Pairs, Part, PlacedFrames, StoredAs, create_pairs, fill_pairs
 from ablate.dataset.encoding import decode_attenuation, encode_attenuation
 from ablate.dataset.filling import frame_array, write_shard
 from ablate.dataset.pairs import FORMATS
@@ -37,9 +37,8 @@ def test_zarr_reads_what_is_written(tmp_path: Path, name: str, count: int) -> No
 def pairs(tmp_path: Path) -> Pairs:
     """Three frames of the target in a shard that has room for four."""
     stack, split = frames("target", 3), np.full(3, Part.train, np.uint8)
-    made = create_pairs(
-        tmp_path / "set", np.zeros((3, 4, 4)), np.arange(3), split, np.ones(SHAPE, bool), SLOTS, ["gel"], {}
-    )
+    placed = PlacedFrames(np.zeros((3, 4, 4)), np.arange(3), split, np.ones(SHAPE, bool))
+    made = create_pairs(tmp_path / "set", placed, StoredAs(SLOTS, ["gel"]), {})
     list(fill_pairs(made, frozenset({"target"}), lambda chosen, _: {"target": stack[chosen]}))
     return made
 

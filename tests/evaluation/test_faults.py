@@ -1,5 +1,6 @@
 """Nothing is silently wrong where scores are made, and where they are read back."""
 
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,17 +24,40 @@ def test_what_is_not_finite_is_no_grey_level(value: float) -> None:
         decode_grey_levels(image.bfloat16(), FAN)
 
 
-def notes_of(images_of: ImageSource) -> tuple[str, ...]:
-    """The notes of a run whose scores themselves are left out."""
+def notes_of(images_of: ImageSource, missing: Mapping[Part, dict[str, str]] | None = None) -> tuple[str, ...]:
+    """The notes of a run whose scores themselves are left out; frames 0 to 3 validate and 4 to 7 test."""
+    of_part = {Part.validation: np.arange(4), Part.test: np.arange(4, 8)}
 
-    def score(_part: Part, images_of: ImageSource, _draws_noise: bool) -> Scores:
-        images_of(np.arange(4), 0)
-        return Scores(pd.DataFrame(columns=["frame", "site", "metric", "value"]), {}, ("fid: not computed.",))
+    def score(part: Part, images_of: ImageSource, _draws_noise: bool) -> Scores:
+        images_of(of_part[part], 0)
+        no_rows = pd.DataFrame(columns=["frame", "site", "metric", "value"])
+        return Scores(no_rows, {}, (missing or {}).get(part, {}))
 
-    pairs = SimpleNamespace(maps=frozenset(), frames=lambda _part: np.arange(4))
-    notes = score_run(SimpleNamespace(score=score, pairs=pairs), images_of, False).notes
-    assert notes[0] == "fid: not computed."
-    return notes[1:]
+    pairs = SimpleNamespace(maps=frozenset(), frames=of_part.__getitem__)
+    return score_run(SimpleNamespace(score=score, pairs=pairs), images_of, False).notes
+
+
+def test_what_one_part_alone_lacks_is_noted_and_what_both_lack_once() -> None:
+    missing = {
+        Part.validation: {"fid": "no weights", "kid": "no weights", "fd_speckle": "too few patches"},
+        Part.test: {"fid": "no weights", "kid": "no weights", "thin_contrast": "no bone"},
+    }
+    assert notes_of(lambda frames, _: np.zeros((len(frames), 10, 100), np.uint8), missing) == (
+        "fid and kid: not computed, no weights.",
+        "thin_contrast: not computed, no bone.",
+        "fd_speckle: not computed, too few patches (of the validation frames alone).",
+    )
+
+
+def test_a_test_frame_alone_is_rendered_again() -> None:
+    rendered: list[int] = []
+
+    def images_of(frames: np.ndarray, _draw: int) -> np.ndarray:
+        rendered.extend(frames.tolist())
+        return np.zeros((len(frames), 10, 100), np.uint8)
+
+    assert notes_of(images_of) == ()
+    assert rendered == [*range(8), 4, 4]
 
 
 @pytest.mark.parametrize(
@@ -69,6 +93,6 @@ def test_a_generator_that_renders_the_same_differently_is_noted() -> None:
         return rng.integers(0, 60, (len(frames), 10, 100)).astype(np.uint8)
 
     (note,) = notes_of(images_of)
-    assert note.startswith("The generator renders frame 0 differently each time with the same noise, by up to 5")
+    assert note.startswith("The generator renders frame 4 differently each time with the same noise, by up to 5")
     rounded = iter(range(100))
     assert notes_of(lambda frames, _: np.full((len(frames), 10, 100), 7 + next(rounded) % 2, np.uint8)) == ()

@@ -1,8 +1,8 @@
 """Scores of a run: chosen metrics, FID by a file, what is left out in words, re-simulation computed once."""
 
 import hashlib
-import json
 import math
+import shutil
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,18 +12,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from ablate.runs.place import finished_run
-from ablate.runs.run import State
-from ablate.runs.train import run_job, scorer
 
 from ablate.anatomy import load_tissues
 from ablate.command.checks import check
 from ablate.command.compose import jobs_of
 from ablate.dataset import Part
-from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
-from ablate.evaluation.scorer import not_computed
+from ablate.evaluation import ImageSource, Scorer, Scores, joined, resimulation_images, score_run, tissue_labels
+from ablate.evaluation.scores import not_computed
 from ablate.metrics import (
-    METRICS_VERSION,
     Pair,
     choose_metrics,
     crps,
@@ -38,8 +34,9 @@ from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.sources.data_set import DataSet as Data
 from ablate.sources.data_set import maps_needed
 from ablate.sources.prepare import prepare_data
-from ablate.storage import write_json
 from ablate.study.job import Job
+from ablate.study.run import run_of
+from ablate.study.work import do, scorer
 from ablate.threads import torch_threads
 
 TINY = ["preset=tiny", "simulator.image_shape=[512,710]", "dataset.test=0.4", "training.steps=2", "training.crop=32"]
@@ -231,11 +228,9 @@ def test_distances_that_frames_do_not_allow_are_left_out_in_words(
 ) -> None:
     mask = np.zeros(shape, bool)
     mask[fan] = True
-    names, notes = not_computed(
-        choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None
-    )
-    assert names == missing
-    assert note in " ".join(notes)
+    reasons = not_computed(choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None)
+    assert reasons.keys() == missing
+    assert note in " ".join(reasons.values())
 
 
 def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, calls: list[Part]) -> None:
@@ -248,12 +243,54 @@ def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, call
     assert first.scalars == second.scalars
     assert first.scalars["test/floor_noise_sd"] > 0
     score(job(runs, "metrics=mae").settings, data)
-    assert len(calls) == 10, "other metrics, other scores"
+    assert len(calls) == 8, "what is known of a metric is known beside any others"
+    more = score(job(runs, "metrics=[mae,mae_fan]").settings, data)
+    assert len(calls) == 12, "another metric, other scores"
+    assert more.scalars["test/floor_mae"] == first.scalars["test/floor_mae"]
     for kept in (data.pairs.folder / "resimulation").glob("*.json"):
         kept.write_text("{")
     third = score(settings, data)
-    assert len(calls) == 14, "damaged files are made again"
+    assert len(calls) == 16, "damaged files are made again"
     assert third.scalars == first.scalars
+    pd.testing.assert_frame_equal(third.per_image, first.per_image)
+
+
+def reads_draws(pair: Pair) -> float:
+    """A user's metric that is no metric of draws, but would read them where it finds them."""
+    return float(pair.prediction.mean()) if pair.draws is None else -1.0
+
+
+def test_no_score_depends_on_which_other_metrics_are_asked_for(
+    runs: Path, data: Data, network: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values, intervals and floors of each metric alone, bit by bit, without what is kept of re-simulation."""
+    monkeypatch.setitem(sys.modules, "of_mine", sys.modules[__name__])
+    settings = job(runs, "evaluation.noise_draws=3").settings
+    names = ["psnr", "crps", "noise_sd", "of_mine.reads_draws", "pchi2", "fd_speckle", "fid", "kd_speckle"]
+    inception = load_inception(network)
+
+    def images_of(frames: np.ndarray, draw: int) -> np.ndarray:
+        noise = [np.random.default_rng([frame, draw]).integers(0, 60, data.pairs.shape) for frame in frames]
+        return (data.pairs.read("resimulation", frames) // 2 + np.stack(noise)).astype(np.uint8)
+
+    def scores_of(*asked: str) -> Scores:
+        shutil.rmtree(data.pairs.folder / "resimulation", ignore_errors=True)
+        metrics = choose_metrics(asked)
+        scorer = Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
+        return score_run(scorer, images_of, draws_noise=True)
+
+    together = scores_of(*names)
+    alone = {name.rpartition(".")[2]: scores_of(name) for name in names}
+    for name, scores in alone.items():
+        of_metric = together.of_metric(name)
+        assert of_metric.scalars == scores.scalars
+        assert {f"test/{name}", f"val/{name}", f"test/floor_{name}"} <= scores.scalars.keys()
+        assert of_metric.per_image.to_dict("list") == scores.per_image.to_dict("list")
+    assert alone["fid"].scalars.keys() >= {"test/fid_lower", "test/floor_fid_upper"}
+    again = joined(list(alone.values()))
+    assert again.scalars == together.scalars
+    assert again.notes == together.notes
+    pd.testing.assert_frame_equal(again.per_image, together.per_image)
 
 
 def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs: Path, data: Data) -> None:
@@ -315,58 +352,20 @@ def test_what_cannot_be_computed_is_refused_first(tmp_path: Path, change: str, m
 @pytest.mark.usefixtures("data")
 def test_metrics_added_later_are_computed_without_training(runs: Path, network: Path) -> None:
     few = job(runs, "metrics=[mae,psnr]")
-    run_job(few)
-    result = finished_run(few).result
-    assert result is not None
-    assert {"test/mae", "test/psnr", "train/seconds", "seconds"} <= result["scalars"].keys()
-    assert "test/pchi2" not in result["scalars"]
-    checkpoint = (few.folder / "last.ckpt").stat().st_mtime_ns
+    do(few)
+    before = run_of(few).scalars
+    assert {"test/mae", "test/psnr", "train/seconds"} <= before.keys()
+    assert "test/pchi2" not in before
+    files = {path: path.stat().st_mtime_ns for path in (few.training.checkpoint, *few.training.score_files())}
 
-    more = job(runs, "metrics=[pchi2,kid]", f"evaluation.inception={network}")
-    assert finished_run(more) is None
-    run_job(more)
-    again = json.loads((few.folder / "result.json").read_text())
-    assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint
-    assert {"test/pchi2", "test/kid", "test/mae"} <= again["scalars"].keys()
-    for kept in ("test/mae", "train/seconds", "seconds"):
-        assert again["scalars"][kept] == result["scalars"][kept]
-    assert finished_run(few) is not None
-    assert finished_run(more) is not None
-    assert set(pd.read_parquet(few.folder / "per_image.parquet")["metric"]) == {"mae", "psnr", "pchi2"}
-
-    stale = {**again["scalars"], "test/mae": -1.0, "test/of_an_earlier_version": 1.0}
-    write_json(few.folder / "result.json", {**again, "metrics_version": METRICS_VERSION - 1, "scalars": stale})
-    assert finished_run(more) is None
-    run_job(more)
-    assert json.loads((few.folder / "result.json").read_text())["scalars"] == pytest.approx(again["scalars"])
-    assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint, "scored again, not trained again"
-
-
-def test_a_run_whose_scores_are_in_the_making_is_not_finished(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed between its files, it had new scores and a result that told of the old ones."""
-    few, more = (job(runs, "study_name=killed", f"metrics=[{names}]") for names in ("mae", "mae,psnr"))
-    run_job(few)
-
-    def killed(*_: object, **__: object) -> None:
-        raise InterruptedError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(np, "savez_compressed", killed)  # of pictures, after the scores
-        with pytest.raises(InterruptedError):
-            run_job(more)
-    assert few.run.state is State.resumable
-    assert few.run.result["scalars"].keys() >= {"seconds"}
-    run_job(more)
-    assert few.run.state is State.finished
-    assert {"train/seconds", "seconds", "test/psnr"} <= few.run.result["scalars"].keys()
-
-    (few.folder / "last.ckpt").unlink()  # so that a further metric needs another training
-    most = job(runs, "study_name=killed", "metrics=[mae,psnr,mae_fan]")
-    with monkeypatch.context() as patch:
-        patch.setattr(np, "savez_compressed", killed)
-        with pytest.raises(InterruptedError):
-            run_job(most)
-    assert few.run.state is not State.finished
-    run_job(most)
-    assert few.run.state is State.finished
-    assert not {"train/seconds", "seconds"} & few.run.result["scalars"].keys(), "costs of the training that was removed"
+    more = job(runs, "metrics=[pchi2,kid,mae]", f"evaluation.inception={network}")
+    assert more.folder == few.folder
+    assert not more.finished
+    do(more)
+    assert more.finished
+    assert few.finished
+    assert {path: path.stat().st_mtime_ns for path in files} == files, "nothing is trained or scored again"
+    after = run_of(more).scalars
+    assert {"test/pchi2", "test/kid", "test/mae"} <= after.keys()
+    assert (after["test/mae"], after["train/seconds"]) == (before["test/mae"], before["train/seconds"])
+    assert set(run_of(more).scores["metric"]) == {"mae", "pchi2"}

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ablate.dataset import Crops, CropSettings, create_pairs, fill_pairs
+from ablate.dataset import Crops, CropSettings, PlacedFrames, StoredAs, create_pairs, fill_pairs
 from ablate.networks import GeneratorSpec, Space, conditions
 from ablate.training import AdversarialLoss, PairGAN, Reconstruction, TrainingPrecision, TrainingSettings
 from ablate.training.inference import autocast
@@ -90,8 +90,8 @@ def test_a_step_on_a_whole_frame_in_beam_space(tmp_path: Path, monkeypatch: pyte
     """Without a crop the batch is a frame as it was simulated, mirrored or not, and the error is that of all of it."""
     rng, shape = np.random.default_rng(0), (36, 33)
     fan = np.tril(np.ones((40, 50), bool))
-    placed, of_beam = (np.zeros((1, 4, 4)), np.arange(1), np.zeros(1, int), fan), (Space.beam, ConvexProbe(), shape)
-    pairs = create_pairs(tmp_path, *placed, 1, ["a"], {}, *of_beam)
+    placed = PlacedFrames(np.zeros((1, 4, 4)), np.arange(1), np.zeros(1, int), fan)
+    pairs = create_pairs(tmp_path, placed, StoredAs(1, ["a"], Space.beam, ConvexProbe(), shape), {})
     spec = GeneratorSpec(**{**BEAM, "depth": 2, "width": 0.05})  # type: ignore[arg-type]
     drawn = {name: rng.random((1, *shape), np.float32) for name in ("illumination", "interfaces")}
     drawn |= {name: rng.integers(0, 3, (1, *shape), np.uint8) for name in ("segmentation", "target")}

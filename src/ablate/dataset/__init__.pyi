@@ -17,8 +17,10 @@ from .pairs import DERIVED as DERIVED
 from .pairs import PAIRS_VERSION as PAIRS_VERSION
 from .pairs import DamagedShardError as DamagedShardError
 from .pairs import Pairs as Pairs
-from .pairs import create_pairs as create_pairs
-from .pairs import open_pairs as open_pairs
+from .pairs_folder import PlacedFrames as PlacedFrames
+from .pairs_folder import StoredAs as StoredAs
+from .pairs_folder import create_pairs as create_pairs
+from .pairs_folder import open_pairs as open_pairs
 from .png_folder import PngFolder as PngFolder
 from .png_folder import content_digest as content_digest
 from .png_folder import import_pairs as import_pairs

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import _thread
+from collections import deque
 from collections.abc import Iterator
-from contextlib import suppress
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
 
 _TRIES = 50
-_LOST_S = 60.0  # a batch that takes longer is made here; its thread may have ended
 
 
 @dataclass(frozen=True)
@@ -136,36 +135,30 @@ class CropLoader:
     """Batches of the steps `start` to `stop - 1`, one a step, in order; a resumed run sees what it would have seen.
 
     `workers` batches are prepared ahead, each in a thread; 0 prepares each when it is asked for. Decoding leaves other
-    threads free to run, and nothing has to be copied from one process to another. Futures and `threading.Thread` may
-    wait for ever for a thread that found no memory. Here a batch that does not come is made by who asks for it.
+    threads free to run, and nothing has to be copied from one process to another.
     """
 
     def __init__(self, crops: Crops, start: int, stop: int, workers: int = 0) -> None:
-        self.crops, self.steps, self.workers = crops, range(start, stop), workers
+        self.crops = crops
+        self.steps = range(start, stop)
+        self.workers = workers
 
     def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
         batches = self._ahead() if self.workers else map(self.crops.__getitem__, self.steps)
         pinned = torch.cuda.is_available()
         for batch in batches:
-            yield {k: v.pin_memory() for k, v in batch.items()} if pinned else batch
+            yield {name: values.pin_memory() for name, values in batch.items()} if pinned else batch
 
     def _ahead(self) -> Iterator[dict[str, torch.Tensor]]:
-        made: dict[int, dict[str, torch.Tensor]] = {}
-        ends: dict[int, _thread.LockType] = {}
-
-        def make(step: int, ended: _thread.LockType) -> None:
-            with suppress(BaseException):  # it is raised when the batch is made again
-                made[step] = self.crops[step]
-            ended.release()
-
-        for step in self.steps:
-            for ahead in self.steps[step - self.steps.start :][: self.workers + 1]:
-                if ahead not in ends:
-                    ends[ahead] = _thread.allocate_lock()
-                    ends[ahead].acquire()
-                    try:
-                        _thread.start_new_thread(make, (ahead, ends[ahead]))
-                    except RuntimeError:  # the system has no memory for a thread, or allows no more of them
-                        ends[ahead].release()
-            ends.pop(step).acquire(timeout=_LOST_S)
-            yield made.pop(step) if step in made else self.crops[step]
+        """Give each batch when it is ready, while the next ones are being made."""
+        pool = ThreadPoolExecutor(self.workers + 1)  # one for the batch that is waited for
+        try:
+            pending: deque[Future[dict[str, torch.Tensor]]] = deque()
+            for step in self.steps:
+                pending.append(pool.submit(self.crops.__getitem__, step))
+                if len(pending) > self.workers:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -39,8 +39,8 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     with FileLock(pairs.folder / ".create.lock"):
         for left in pairs.folder.glob("pairs.zarr/*/*.partial"):
             left.unlink()
-        group = zarr.open_group(pairs.folder / "pairs.zarr", mode="a")
-        for name in sorted(m for m in maps if m not in group):
+        group = zarr.open_group(pairs.folder / "pairs.zarr", mode="a", zarr_format=3)
+        for name in sorted(maps - pairs.maps):
             group.create_array(name, **frame_array(name, len(pairs), pairs.stored_shape, pairs.shard))
     for shard in pairs.missing(maps):
         with _claimed(pairs, shard) as mine:

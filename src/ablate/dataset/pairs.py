@@ -5,30 +5,25 @@ Simulated frames are stored in beam space, and images are scan-converted from th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import zarr
-from filelock import FileLock
-from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
+from ablate.dataset.zarr_v3 import open_array, read_whole
 from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
-from ablate.setting import plain, shown
-from ablate.storage import write_json
+from ablate.setting import shown
 from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps
-from ablate.ultrasound.settings import probe_from
 
 if TYPE_CHECKING:
-    from ablate.ultrasound import ScanConverter
+    import zarr
 
-# Of several threads Zarr starts some later, which without memory may never return (CPython 140746).
-zarr.config.set({"threading.max_workers": 1, "async.timeout": 300})
+    from ablate.ultrasound import ScanConverter
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 6
@@ -44,14 +39,15 @@ FORMATS = {
 }
 #: What is not stored but made from a stored map when it is read, by the name of that map.
 DERIVED = {"compensated": "attenuation"}
-_MEND = "`python -m ablate task=simulate` with the same settings"
+#: What makes a data set, or what is missing of it.
+MEND = "`python -m ablate task=simulate` with the same settings"
 
 
 class DamagedShardError(ValueError):
     """A shard is not as it was written; the message names it and what mends it, `what` the shard alone."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"{what}; {_MEND} finds and makes again what is damaged")
+        super().__init__(f"{what}; {MEND} finds and makes again what is damaged")
         self.what = what
 
 
@@ -59,15 +55,29 @@ class DamagedShardError(ValueError):
 class Pairs:
     """A data set on disk.
 
-    `folder` holds `pairs.zarr`, `about.json` (what the set was made from), pictures and lock files. There are `shard`
-    frames in a shard; `tissues` are the names behind the values 1, 2, ... of `segmentation`.
-
-    Each frame has a pose in `poses`, (n, 4, 4) float64, probe to world, mm, a site in `sites`, (n,) int32, and a `Part`
-    in `split`, (n,) uint8. Stored arrays are in `space`. Images are of `shape`, (H, W), and frames in beam space of
-    `beam_shape`, (rows, scanlines).
-
-    `probe` is None where the geometry of the fan is not known; then there are images alone. `tgc` is the time gain that
-    the frames were simulated with, for `compensated`, and None where it is not known.
+    Attributes
+    ----------
+    folder : Path
+        Holds `pairs.zarr`, `about.json` (what the set was made from), pictures and lock files.
+    poses : (n, 4, 4) float64
+        Probe to world, mm, of each frame.
+    sites : (n,) int32
+        Frames of one site see almost the same anatomy.
+    split : (n,) uint8 of `Part`
+    shape : (H, W)
+        Of the images.
+    shard : int
+        Frames in a shard.
+    tissues : names
+        Behind the values 1, 2, ... of `segmentation`.
+    space : Space
+        Of the stored arrays.
+    probe : Probe or None
+        None where the geometry of the fan is not known; then there are images alone.
+    beam_shape : (rows, scanlines)
+        Of frames in beam space.
+    tgc : float or sequence of floats or None
+        Time gain that the frames were simulated with, for `compensated`; None where it is not known.
     """
 
     folder: Path
@@ -113,7 +123,7 @@ class Pairs:
     @property
     def maps(self) -> frozenset[str]:
         """Names of the maps that are laid out; which shards of them are made tells `missing`."""
-        return frozenset(m for m in FORMATS if (self.folder / "pairs.zarr" / m / "zarr.json").exists())
+        return frozenset(name for name in FORMATS if (self._array_folder(name) / "zarr.json").exists())
 
     def frames(self, part: Part) -> np.ndarray:
         """Indices of the frames of one part, increasing."""
@@ -126,45 +136,76 @@ class Pairs:
         """Which of `maps` this shard lacks; re-simulation is only for validation and test frames."""
         trains = (self.split[self.frames_of_shard(shard)] == Part.train).all()
         wanted = maps - {"resimulation"} if trains else maps
-        return frozenset(m for m in wanted if not self.shard_file(m, shard).exists())
+        return frozenset(name for name in wanted if not self.shard_file(name, shard).exists())
 
     def missing(self, maps: frozenset[str]) -> tuple[int, ...]:
         """Shards of which at least one wanted array is not yet on disk."""
-        return tuple(s for s in range(self.shards) if self.missing_in_shard(s, maps))
+        return tuple(shard for shard in range(self.shards) if self.missing_in_shard(shard, maps))
 
     def shard_file(self, name: str, shard: int) -> Path:
-        return self.folder / "pairs.zarr" / name / "c" / str(shard) / "0" / "0"
+        """The file of some frames of a map."""
+        return self._array_folder(name) / "c" / str(shard) / "0" / "0"
+
+    def _array_folder(self, name: str) -> Path:
+        return self.folder / "pairs.zarr" / name
 
     def stored(self, name: str, frames: int | Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
-        """Frames of one map in the type in which it is stored, uint8 or, of attenuation, uint16.
+        """Frames of one map in the type in which it is stored.
 
-        The result is (H, W) for one number and (k, H, W) for several, of which those of one shard are read at once;
-        in beam space (rows, scanlines). `compensated` is `compensated_attenuation` in steps of 1/65535.
+        Those of one shard are read at once. `compensated` is `compensated_attenuation` in steps of 1/65535.
 
-        A DamagedShardError when a frame is not as it was written, a FileNotFoundError when it has not been made, an
-        IndexError when there is none of its number.
+        Parameters
+        ----------
+        name : str
+            Of the map: a key of `FORMATS` or of `DERIVED`.
+        frames : int or (k,) int
+            Numbers of frames.
+        space : Space
+            In which the frames are wanted.
+
+        Returns
+        -------
+        (H, W) or (k, H, W) uint8, of attenuation uint16
+            In beam space (rows, scanlines) or (k, rows, scanlines).
+
+        Raises
+        ------
+        DamagedShardError
+            When a frame is not as it was written.
+        FileNotFoundError
+            When a frame has not been made.
+        IndexError
+            When there is no frame of a number.
         """
-        given, source = np.atleast_1d(np.asarray(frames)), DERIVED.get(name, name)
-        if given.size and (given.dtype.kind not in "iu" or not 0 <= given.min() <= given.max() < len(self)):
-            raise IndexError(f"{self.folder}: frames={shown(frames)}: allowed are their numbers, 0 to {len(self) - 1}")
-        numbers = given.astype(np.int64)
+        numbers = self._checked(np.atleast_1d(np.asarray(frames)), frames)
+        source = DERIVED.get(name, name)
         stack = np.empty((len(numbers), *self.shape_in(space)), FORMATS[source][0])
-        for shard in np.unique(numbers // self.shard):
-            here = numbers // self.shard == shard
-            first, last = numbers[here].min(), numbers[here].max()
-            read = self._of_shard(source, shard, slice(first, last + 1))[numbers[here] - first]
-            stack[here] = read if space == self.space else [self._converted(name, frame) for frame in read]
+        shards = numbers // self.shard
+        for shard in np.unique(shards):
+            in_shard = shards == shard
+            wanted = numbers[in_shard]
+            read = self._of_shard(source, shard, slice(wanted.min(), wanted.max() + 1))[wanted - wanted.min()]
+            stack[in_shard] = read if space == self.space else [self._converted(name, frame) for frame in read]
         if name in DERIVED:
             stack = self._compensated(stack, space)
         return stack if np.ndim(frames) else stack[0]
 
+    def _checked(self, numbers: np.ndarray, given: object) -> np.ndarray:
+        """Numbers of frames as int64; an IndexError where one is none."""
+        if not numbers.size:
+            return numbers.astype(np.int64)
+        if numbers.dtype.kind not in "iu" or numbers.min() < 0 or numbers.max() >= len(self):
+            raise IndexError(f"{self.folder}: frames={shown(given)}: allowed are their numbers, 0 to {len(self) - 1}")
+        return numbers.astype(np.int64)
+
     def _converted(self, name: str, frame: np.ndarray) -> np.ndarray:
         """One stored frame in the other space: the nearest label, other values by bilinear interpolation."""
-        converter, to_image = self.converter, self.space is Space.beam
+        converter = self.converter
+        to_image = self.space is Space.beam
         if name == "segmentation":
             return converter.labels_to_image(frame) if to_image else converter.labels_to_beam(frame)
-        made = converter.to_image(frame) if to_image else converter.to_beam(frame)
-        return made if made.dtype == frame.dtype else np.rint(made).astype(frame.dtype)
+        converted = converter.to_image(frame) if to_image else converter.to_beam(frame)
+        return converted if converted.dtype == frame.dtype else np.rint(converted).astype(frame.dtype)
 
     def _compensated(self, stack: np.ndarray, space: Space) -> np.ndarray:
         if self.probe is None or self.tgc is None:
@@ -177,9 +218,9 @@ class Pairs:
         """A range of frames, all of one shard, as stored."""
         file = self.shard_file(name, shard)
         if not file.exists():  # Zarr would read zeros
-            raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it")
+            raise FileNotFoundError(f"{file}: not made yet; {MEND} makes it")
         if name not in self._arrays:
-            self._arrays[name] = zarr.open_array(self.folder / "pairs.zarr" / name, mode="r")
+            self._arrays[name] = open_array(self._array_folder(name))
         try:
             return np.asarray(self._arrays[name][frames])
         except (ValueError, RuntimeError) as error:
@@ -193,14 +234,29 @@ class Pairs:
         return {}
 
     def read(self, name: str, frames: Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
-        """Frames of one map, (k, H, W) or, in beam space, (k, rows, scanlines). Raises as `stored`.
+        """Frames of one map as values; it raises what `stored` does.
 
-        Labels and grey levels are uint8. Attenuation, interfaces and illumination are float32 in [0, 1], and the maps
-        of position, `depth` and `lateral`, float32 in [-1, 1].
+        Parameters
+        ----------
+        name : str
+            Of the map: a key of `FORMATS` or of `DERIVED`, or `depth` or `lateral`.
+        frames : (k,) int
+            Numbers of frames.
+        space : Space
+            In which the frames are wanted.
+
+        Returns
+        -------
+        (k, H, W) or, in beam space, (k, rows, scanlines)
+            Labels and grey levels are uint8. Attenuation, interfaces and illumination are float32 in [0, 1], and the
+            maps of position, `depth` and `lateral`, float32 in [-1, 1].
         """
         if name in OF_POSITION:
             return np.broadcast_to(self.positions(space)[name], (len(frames), *self.shape_in(space))).copy()
-        return decoded(name, self.stored(name, frames, space))
+        stored = self.stored(name, frames, space)
+        if stored.dtype == np.uint16:
+            return decode_attenuation(stored)
+        return stored / np.float32(255) if name in OF_SURFACES else stored
 
     def positions(self, space: Space = Space.image) -> dict[str, np.ndarray]:
         """The maps of position, by name."""
@@ -208,73 +264,6 @@ class Pairs:
 
     def mask(self, space: Space = Space.image) -> np.ndarray:
         """The fan, (H, W) bool; in beam space it is everything."""
-        return np.ones(self.beam_shape, bool) if Space(space) is Space.beam else _read_whole(self.folder, "mask")
-
-
-def decoded(name: str, stored: np.ndarray) -> np.ndarray:
-    """Values of a map from those that are stored, as `Pairs.read` has them."""
-    if stored.dtype == np.uint16:
-        return decode_attenuation(stored)
-    return stored / np.float32(255) if name in OF_SURFACES else stored
-
-
-def create_pairs(
-    folder: Path,
-    poses: np.ndarray,
-    sites: np.ndarray,
-    split: np.ndarray,
-    mask: np.ndarray,
-    shard: int,
-    tissues: Sequence[str],
-    about: Mapping[str, object],
-    space: Space = Space.image,
-    probe: Probe | None = None,
-    beam_shape: tuple[int, int] = (0, 0),
-) -> Pairs:
-    """Lay out an empty data set, or open the one that is there.
-
-    `mask`, (H, W) bool, is the fan of the images. Arrays of maps are created by `fill_pairs` when first needed. Safe to
-    call from several processes.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / ".create.lock"):
-        if not (folder / "about.json").exists():
-            group = zarr.open_group(folder / "pairs.zarr", mode="w", zarr_format=3)
-            for name, data in {"pose": poses, "site": sites.astype("int32"), "split": split, "mask": mask}.items():
-                group.create_array(name, data=np.ascontiguousarray(data), compressors=[ZstdCodec(), Crc32cCodec()])
-            group.attrs.update({"version": PAIRS_VERSION, "shard": shard, "tissues": list(tissues)})
-            group.attrs.update({"space": str(space), "beam_shape": list(beam_shape)})
-            group.attrs.update({"probe": None if probe is None else plain(probe)})
-            write_json(folder / "about.json", about)
-    return open_pairs(folder)
-
-
-def open_pairs(folder: str | Path) -> Pairs:
-    """Open a data set that `create_pairs` laid out.
-
-    A FileNotFoundError when there is none; a ValueError when its poses, sites, split or mask are not as they were
-    written, or it is stored in another version.
-    """
-    folder = Path(folder)
-    if not (folder / "about.json").exists():
-        raise FileNotFoundError(f"no data set at {folder}; {_MEND} makes it")
-    group = zarr.open_group(folder / "pairs.zarr", mode="r")
-    if (version := group.attrs.get("version")) != PAIRS_VERSION:
-        raise ValueError(
-            f"{folder}: pairs stored in version {version}, this program reads version {PAIRS_VERSION}; {_MEND} makes "
-            "them again in a folder of their own, after which this one can be removed"
-        )
-    pose, site, split, mask = (_read_whole(folder, name) for name in ("pose", "site", "split", "mask"))
-    known: dict[str, Any] = dict(group.attrs)
-    tissues, probe = tuple(known["tissues"]), known["probe"] and probe_from(known["probe"])
-    of_beam = Space(known["space"]), probe, (int(known["beam_shape"][0]), int(known["beam_shape"][1]))
-    return Pairs(folder, pose, site, split, (mask.shape[0], mask.shape[1]), known["shard"], tissues, *of_beam)
-
-
-def _read_whole(folder: Path, name: str) -> np.ndarray:
-    """One of the small arrays that are written once, when the set is laid out."""
-    path = folder / "pairs.zarr" / name
-    try:
-        return np.asarray(zarr.open_array(path, mode="r")[...])
-    except (ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is damaged ({error}); the set cannot be used without: remove {folder}") from error
+        if Space(space) is Space.beam:
+            return np.ones(self.beam_shape, bool)
+        return read_whole(self._array_folder("mask"))

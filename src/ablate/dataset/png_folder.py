@@ -181,7 +181,10 @@ def _digest(stats: tuple[tuple[Path, int, int], ...]) -> str:
 
 
 def _header(path: Path) -> tuple[tuple[int, int], int, int]:
-    """Height and width, bits a sample and colour type of a PNG, from its first chunk."""
+    """Height and width, bits a sample and colour type of a PNG, from its first chunk.
+
+    Pillow calls grey of 2 and 4 bits grey of 8, and then scales labels.
+    """
     with path.open("rb") as stream:
         data = stream.read(26)
     if len(data) < 26 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":

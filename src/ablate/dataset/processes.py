@@ -7,21 +7,18 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
-_QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container: microseconds of computing in a period, and the period
 # SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2") if hasattr(signal, name)]
 
 
 def allotted_cores() -> int:
     """Cores that this process may use: of its job on a cluster, or of its container, not of the machine."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with suppress(OSError, ValueError):  # no container, or `max`, no limit
-        quota, period = map(int, _QUOTA.read_text("utf-8").split())
-        cores = min(cores, -(-quota // period))
+    from joblib import cpu_count  # here: most commands start no processes
+
+    cores: int = cpu_count()
     return cores
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +11,9 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate.dataset import Part, counted_clipping
-from ablate.evaluation.scorer import ImageSource, Scorer, Scores
-from ablate.metrics import METRICS, METRICS_VERSION
+from ablate.evaluation.scorer import ImageSource, Scorer
+from ablate.evaluation.scores import PREFIXES, Scores, joined
+from ablate.metrics import METRICS, METRICS_VERSION, FeatureKind, Metric
 from ablate.metrics.metric import FLOOR_PREFIX, MODEL, RESIMULATED
 from ablate.storage import digest, known_json, write_json
 
@@ -30,60 +32,108 @@ def resimulation_images(pairs: Pairs) -> ImageSource:
 def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
     """The floor, or the level, of every metric, which is the same for every run on a data set.
 
-    The first of several jobs computes and stores it beside the data set, and the others wait. It is not stored where
-    one of the metrics is a user's own, because the function may change under its name.
+    The first of several jobs computes that of a metric and stores it beside the data set, and the others wait. A user's
+    own metric is computed each time, because the function may change under its name.
     """
     scorer = replace(scorer, settings=replace(scorer.settings, noise_draws=2))
-    images_of = resimulation_images(scorer.pairs)
-    if not scorer.metrics.keys() <= METRICS.keys():
-        return scorer.score(part, images_of, draws_noise=True)
-    known_by = {"version": METRICS_VERSION, "metrics": sorted(scorer.metrics), "inception": bool(scorer.inception)}
-    kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(known_by)}.json"
-    kept.parent.mkdir(exist_ok=True)
-    with FileLock(kept.with_suffix(".lock")):
-        if read := known_json(kept):
-            return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
-        scores = scorer.score(part, images_of, draws_noise=True)
-        write_json(kept, {"per_image": scores.per_image.to_dict("list"), "scalars": scores.scalars})
-        return scores
+    package = {name: metric for name, metric in scorer.metrics.items() if name in METRICS}
+    own = {name: metric for name, metric in scorer.metrics.items() if name not in METRICS}
+    of_metrics = _kept_scores(replace(scorer, metrics=package), part)
+    if own:
+        scored = _score_resimulation(replace(scorer, metrics=own), part)
+        of_metrics |= {name: scored.of_metric(name) for name in own}
+    return joined([of_metrics[name] for name in scorer.metrics])
+
+
+def _score_resimulation(scorer: Scorer, part: Part) -> Scores:
+    return scorer.score(part, resimulation_images(scorer.pairs), draws_noise=True)
+
+
+def _kept_scores(scorer: Scorer, part: Part) -> dict[str, Scores]:
+    """Those of each metric from its file beside the data set; files that are missing or damaged are made."""
+    folder = scorer.pairs.folder / "resimulation"
+    folder.mkdir(exist_ok=True)
+    files = {name: folder / f"{part.name}-{_kept_as(scorer, metric)}.json" for name, metric in scorer.metrics.items()}
+    with FileLock(folder / f"{part.name}.lock"):
+        of_metrics = {name: scores for name, file in files.items() if (scores := _read_kept(file)) is not None}
+        lacking = {name: metric for name, metric in scorer.metrics.items() if name not in of_metrics}
+        if lacking:
+            scored = _score_resimulation(replace(scorer, metrics=lacking), part)
+            for name in lacking:
+                of_metrics[name] = scored.of_metric(name)
+                _write_kept(files[name], of_metrics[name])
+    return of_metrics
+
+
+def _kept_as(scorer: Scorer, metric: Metric) -> str:
+    """The name of a metric and a digest of what else decides its scores."""
+    with_inception = metric.uses(FeatureKind.inception) and scorer.inception is not None
+    return f"{metric.name}-{digest({'version': METRICS_VERSION, 'inception': with_inception})}"
+
+
+def _read_kept(file: Path) -> Scores | None:
+    content = known_json(file)
+    if not content:
+        return None
+    return Scores(pd.DataFrame(content["per_image"]), content["scalars"], content["missing"])
+
+
+def _write_kept(file: Path, scores: Scores) -> None:
+    per_image = scores.per_image.to_dict("list")
+    write_json(file, {"per_image": per_image, "scalars": scores.scalars, "missing": scores.missing})
 
 
 def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
-    """Score a generator, and re-simulation where the data set has it; arguments as for `Scorer.score`.
+    """Score a generator on validation and test frames, and re-simulation where the data set has it.
 
-    The notes also say which share of the generator's output was clipped, and whether a frame differs when it is
-    rendered again with the same noise.
+    Which metrics are asked for is said by `scorer.metrics`, and `Scores.of_metric` gives those of each. They are the
+    same whichever others are asked for. What is said about the generator's output, which share of it was clipped and
+    whether a frame differs when it is rendered again with the same noise, is of the test frames.
     """
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
-    notes: tuple[str, ...] = ()
-    for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
-        with counted_clipping() as counts:
+    missing: dict[Part, dict[str, str]] = {}
+    for part, prefix in PREFIXES.items():
+        with counted_clipping() as clipping:
             scored = {MODEL: scorer.score(part, images_of, draws_noise)}
         if "resimulation" in scorer.pairs.maps:
             scored[RESIMULATED] = resimulation_scores(scorer, part)
         for source, scores in scored.items():
             tables.append(scores.per_image.assign(source=source, split=part.name))
             mark = FLOOR_PREFIX if source == RESIMULATED else ""
-            scalars |= {f"{prefix}/{mark}{name}": value for name, value in scores.scalars.items()}
-        notes = (*scored[MODEL].notes, *_about_output(counts, images_of, scorer.pairs.frames(part)[:1]))
-    return Scores(pd.concat(tables, ignore_index=True), scalars, notes)
+            scalars |= {f"{prefix}{mark}{name}": value for name, value in scores.scalars.items()}
+        missing[part] = scored[MODEL].missing
+    of_run = _of_both_parts(missing[Part.validation], missing[Part.test])
+    about_output = (*_clipped(clipping), *_unrepeated(images_of, scorer.pairs.frames(Part.test)[:1]))
+    return Scores(pd.concat(tables, ignore_index=True), scalars, of_run, about_output)
 
 
-def _about_output(counts: list[tuple[int, int]], images_of: ImageSource, frame: np.ndarray) -> list[str]:
-    """What is wrong with a generator's output, a sentence each: clipped pixels, a frame that differs when repeated."""
-    notes = []
-    clipped, pixels = (sum(column) for column in zip((0, 0), *counts, strict=True))
-    if clipped > MOST_CLIPPED * pixels:
-        notes.append(
-            f"The generator's output lies outside [-1, 1] in {100 * clipped / pixels:.2g} % of the pixels of the fan; "
-            "these values were clipped to black or white."
-        )
-    once, again = (images_of(frame, 0).astype(np.int16) for _ in range(2))
+def _of_both_parts(validation: dict[str, str], test: dict[str, str]) -> dict[str, str]:
+    """Why metrics are missing on test frames, and those that are missing on validation frames alone."""
+    alone = {name: f"{reason} (of the validation frames alone)" for name, reason in validation.items()}
+    return test | {name: reason for name, reason in alone.items() if name not in test}
+
+
+def _clipped(counts: list[tuple[int, int]]) -> list[str]:
+    """A sentence if pixels of the fan were clipped, from the clipped and all of each image."""
+    clipped = sum(count for count, _ in counts)
+    pixels = sum(count for _, count in counts)
+    if clipped <= MOST_CLIPPED * pixels:
+        return []
+    return [
+        f"The generator's output lies outside [-1, 1] in {100 * clipped / pixels:.2g} % of the pixels of the fan; "
+        "these values were clipped to black or white."
+    ]
+
+
+def _unrepeated(images_of: ImageSource, frame: np.ndarray) -> list[str]:
+    """A sentence if a frame, whose number `frame` holds, (1,) int, differs when it is rendered again."""
+    once = images_of(frame, 0).astype(np.int16)
+    again = images_of(frame, 0).astype(np.int16)
     apart = int(np.abs(once - again).max(initial=0))
-    if apart > MOST_APART:
-        notes.append(
-            f"The generator renders frame {frame[0]} differently each time with the same noise, by up to {apart} grey "
-            "levels (dropout that is left on does this): its scores differ from one scoring to the next."
-        )
-    return notes
+    if apart <= MOST_APART:
+        return []
+    return [
+        f"The generator renders frame {frame[0]} differently each time with the same noise, by up to {apart} grey "
+        "levels (dropout that is left on does this): its scores differ from one scoring to the next."
+    ]

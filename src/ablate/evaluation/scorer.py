@@ -1,12 +1,12 @@
-"""Scores of images of the frames of a data set, such as those of a trained generator, and reasons for gaps in them."""
+"""Scores of images of the frames of a data set, such as those of a trained generator."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset import Part
+from ablate.evaluation.scores import Scores, not_computed, without_values
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import (
     METRICS,
@@ -24,10 +25,8 @@ from ablate.metrics import (
     bootstrap_interval,
     choose_metrics,
     evaluate_image,
-    patches_inside,
     speckle_features,
 )
-from ablate.metrics.features import CENTRE, PATCH
 from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
 from ablate.threads import side_by_side
 from ablate.ultrasound import Probe, fan_mask
@@ -43,28 +42,18 @@ _BATCH = 8
 _SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Scores of the images of some frames.
+class _Scored(NamedTuple):
+    """Of some frames: the values of each by metric, and by their kind the features of all."""
 
-    `per_image` has columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN or infinite
-    where a user's own metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split
-    too. `scalars` are the mean of each per-image metric over its finite values, and what only a set of images has
-    (`fd_speckle`, ...); `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such as
-    `test/psnr`, `test/floor_psnr` and `val/psnr`. `notes` tell of metrics that were asked for and not computed. Of a
-    run they also tell of values that were clipped, and of images that differ when they are rendered again.
-    """
-
-    per_image: pd.DataFrame
-    scalars: dict[str, float]
-    notes: tuple[str, ...] = ()
+    values: list[dict[str, float]]
+    features: dict[FeatureKind, Features]
 
 
 def tissue_labels(
     tissues: tuple[Tissue, ...], kinds: Collection[TissueKind] = (TissueKind.soft, TissueKind.bone)
 ) -> np.ndarray:
     """Labels of some kinds of tissue, uint8; those of soft tissue and bone leave out gas and fluid."""
-    return np.array([i + 1 for i, t in enumerate(tissues) if t.kind in kinds], np.uint8)
+    return np.array([label for label, tissue in enumerate(tissues, start=1) if tissue.kind in kinds], np.uint8)
 
 
 def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
@@ -73,43 +62,34 @@ def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
     return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
 
 
-def not_computed(
-    metrics: Collection[Metric], mask: np.ndarray, frames: int, inception: InceptionFeatures | None
-) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Return the names of distances that cannot be computed, and the reasons, a sentence each.
-
-    `mask`, (H, W) bool, is the fan of each of `frames` frames.
-    """
-    of_inception, of_texture = FeatureKind.inception, FeatureKind.speckle
-    reasons = {}
-    if min(mask.shape) < CENTRE:
-        size = f"{mask.shape[0]} x {mask.shape[1]} px"
-        reasons[of_inception] = f"frames of {size} are smaller than the {CENTRE} px centre that they are made of"
-    elif inception is None:
-        reasons[of_inception] = "no Inception weights were given (evaluation.inception=path/to/file or =download)"
-    if patches_inside(mask, PATCH).sum() * frames < 2:
-        reasons[of_texture] = f"fewer than two patches of {PATCH} x {PATCH} px lie inside the fan"
-    missing = {features: [m.name for m in metrics if m.uses(features)] for features in reasons}
-    notes = {kind: f"{' and '.join(names)}: not computed, {reasons[kind]}" for kind, names in missing.items() if names}
-    if of_inception in notes:
-        others = " and ".join(m.name for m in METRICS.values() if m.uses(of_texture))
-        notes[of_inception] += f"; {others} are these distances of a texture descriptor, not of Inception's features"
-    return frozenset().union(*missing.values()), tuple(f"{note}." for note in notes.values())
-
-
 @dataclass(frozen=True, eq=False)
 class Scorer:
     """Scores images against the targets of a data set.
 
-    Metrics that need what the data set does not hold are left out.
+    The scores of a metric do not depend on which others are asked for, and metrics that need what the data set does not
+    hold are left out.
+
+    Attributes
+    ----------
+    pairs : Pairs
+        The data set.
+    tissues : tuple of Tissue
+        Behind the labels 1, 2, ... of the segmentation.
+    probe : Probe
+        Tells depths and sizes in mm where its fan is that of the data set.
+    settings : EvaluationSettings
+    metrics : dict of str to Metric
+        Those that are asked for, by name.
+    inception : InceptionFeatures or None
+        From `load_inception`; without it there is no FID and no KID.
     """
 
     pairs: Pairs
-    tissues: tuple[Tissue, ...]  # behind the labels 1, 2, ... of the segmentation
+    tissues: tuple[Tissue, ...]
     probe: Probe
     settings: EvaluationSettings = EvaluationSettings()
     metrics: Mapping[str, Metric] = field(default_factory=choose_metrics)
-    inception: InceptionFeatures | None = None  # from `load_inception`; without it there is no FID and no KID
+    inception: InceptionFeatures | None = None
 
     @cached_property
     def _mask(self) -> np.ndarray:
@@ -124,79 +104,142 @@ class Scorer:
         return {"depth_mm": pixel_polar(self.probe, shape)[0], "pixel_mm": pixel_size_mm(self.probe, shape)}
 
     def score(self, part: Part, images_of: ImageSource, draws_noise: bool, frames: np.ndarray | None = None) -> Scores:
-        """Score images of the frames of one part, or of some of them, in as many threads as torch is set to use.
+        """Score images of the frames of one part, in as many threads as torch is set to use.
 
-        `draws_noise` tells whether a second noise draw can give another image; where it cannot, each frame is rendered
-        once.
+        Parameters
+        ----------
+        part : Part
+            Of the data set.
+        images_of : ImageSource
+            What renders the frames.
+        draws_noise : bool
+            Whether a second noise draw can give another image; where it cannot, each frame is rendered once.
+        frames : (k,) int, optional
+            Numbers of some frames of the part; all without it.
+
+        Returns
+        -------
+        Scores
+            With the columns and the names that scores of one part have.
         """
         frames = self.pairs.frames(part) if frames is None else frames
-        sites = self.pairs.sites[frames]
-        missing, notes = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
+        missing = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
         computed = [metric for name, metric in self.metrics.items() if name not in missing]
-        speckle, fid = ([m for m in computed if m.uses(kind)] for kind in (FeatureKind.speckle, FeatureKind.inception))
-        # A metric of the user's may not be made for threads, such as one that draws from NumPy's global generator.
-        ours = self.metrics.keys() <= METRICS.keys()
-        draws = self.settings.noise_draws if any(metric.of_draws for metric in computed) else 1
-
-        def score_batch(batch: np.ndarray, images: np.ndarray) -> list[tuple[dict[str, float], Features]]:
-            if draws_noise:
-                drawn = np.stack([images, *(images_of(batch, draw) for draw in range(1, draws))], axis=1)
-            else:
-                drawn = np.broadcast_to(images[:, None], (len(images), min(draws, 2), *images.shape[1:]))
-            tasks = [partial(self._score_frame, *of, bool(speckle)) for of in zip(batch, drawn, strict=True)]
-            return side_by_side(*tasks) if ours else [task() for task in tasks]
-
-        scored: list[tuple[dict[str, float], Features]] = []
-        of_inception: list[Features] = []
+        batches: list[_Scored] = []
         with tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar:
             for start in range(0, len(frames), _BATCH):
                 batch = frames[start : start + _BATCH]
-                images = images_of(batch, 0)
-                scored += score_batch(batch, images)
-                if fid and self.inception is not None:
-                    of_inception.append((self.inception(images), self.inception(self.pairs.read("target", batch))))
+                batches.append(self._score_batch(batch, self._drawn(batch, images_of, draws_noise), computed))
                 bar.update(len(batch))
-        per_image = _table(part, frames, sites, [values for values, _ in scored])
-        finite = per_image[np.isfinite(per_image["value"])]
-        scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
-        for of_sets, features in ((speckle, [texture for _, texture in scored]), (fid, of_inception)):
-            if of_sets:
-                rendered, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
-                groups = np.repeat(sites, len(rendered) // len(sites))  # rows of features go image by image
-                scalars |= _distances(of_sets, rendered, wanted, groups)
-        if absent := sorted({m.name for m in computed if not m.of_set} - set(per_image["metric"])):
-            what = "bone, shadow, tissue, patches in the fan, a map of attenuation, or a known depth of the pixels"
-            notes = (*notes, f"{' and '.join(absent)}: not computed, as no frame has what is needed ({what}).")
-        return Scores(per_image, scalars, notes)
+        sites = self.pairs.sites[frames]
+        per_image = _table(part, frames, sites, [values for batch in batches for values in batch.values])
+        scalars = _means(per_image)
+        for kind in (FeatureKind.speckle, FeatureKind.inception):
+            of_kind = [metric for metric in computed if metric.uses(kind)]
+            if of_kind:
+                scalars |= _distances(of_kind, [batch.features[kind] for batch in batches], sites)
+        return Scores(per_image, scalars, missing | without_values(computed, per_image))
+
+    def _drawn(self, frames: np.ndarray, images_of: ImageSource, draws_noise: bool) -> np.ndarray:
+        """Images of some frames with as many draws of the noise as the metrics read, (k, draws, H, W) uint8."""
+        reads_draws = any(metric.of_draws for metric in self.metrics.values())
+        images = images_of(frames, 0)
+        if not reads_draws:
+            return images[:, None]
+        if not draws_noise:  # two that are equal
+            return np.broadcast_to(images[:, None], (len(images), 2, *images.shape[1:]))
+        return np.stack([images, *(images_of(frames, draw) for draw in range(1, self.settings.noise_draws))], axis=1)
+
+    def _score_batch(self, frames: np.ndarray, drawn: np.ndarray, computed: Collection[Metric]) -> _Scored:
+        """Values and features of frames of which `drawn` holds the draws, (k, draws, H, W) uint8."""
+        kinds = {kind for kind in FeatureKind if any(metric.uses(kind) for metric in computed)}
+        with_texture = FeatureKind.speckle in kinds
+        tasks = [
+            partial(self._score_frame, int(frame), draws, with_texture)
+            for frame, draws in zip(frames, drawn, strict=True)
+        ]
+        # A metric of the user's may not be made for threads, such as one that draws from NumPy's global generator.
+        ours = self.metrics.keys() <= METRICS.keys()
+        scored = side_by_side(*tasks) if ours else [task() for task in tasks]
+        features: dict[FeatureKind, Features] = {}
+        if with_texture:
+            features[FeatureKind.speckle] = _stacked([texture for _, texture in scored])
+        if FeatureKind.inception in kinds and self.inception is not None:
+            images = np.ascontiguousarray(drawn[:, 0])
+            features[FeatureKind.inception] = self.inception(images), self.inception(self.pairs.read("target", frames))
+        return _Scored([values for values, _ in scored], features)
 
     def _score_frame(self, frame: int, draws: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
         """The metrics of one frame, and the speckle features of image and target where they are wanted."""
-        image = draws[0]
-        target, labels = self.pairs.stored("target", frame), self.pairs.stored("segmentation", frame)
-        attenuation = self.pairs.read("attenuation", [frame])[0] if "attenuation" in self.pairs.maps else None
-        solid = np.isin(labels, tissue_labels(self.tissues))
-        bone = np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone]))
-        maps: dict[str, Any] = {"attenuation": attenuation, "segmentation": labels, **self._sizes}
-        several = draws if len(draws) > 1 else None
-        pair = Pair(image, target, self._mask, tissue_mask=solid, bone_mask=bone, draws=several, **maps)
         try:
-            values = evaluate_image(pair, self.metrics.values())
+            pair = self._pair(frame, draws[0])
+            values = evaluate_image(pair, [metric for metric in self.metrics.values() if not metric.of_draws])
+            if len(draws) > 1:
+                of_draws = [metric for metric in self.metrics.values() if metric.of_draws]
+                values |= evaluate_image(replace(pair, draws=draws), of_draws)
         except Exception as error:
             error.add_note(f"of frame {frame}")
             raise
+        in_order = {name: values[name] for name in self.metrics if name in values}
         if not with_texture:
-            return values, (np.empty(0), np.empty(0))
-        return values, (speckle_features(image[None], self._mask), speckle_features(target[None], self._mask))
+            return in_order, (np.empty(0), np.empty(0))
+        images, targets = pair.prediction[None], pair.target[None]
+        return in_order, (speckle_features(images, self._mask), speckle_features(targets, self._mask))
+
+    def _pair(self, frame: int, image: np.ndarray) -> Pair:
+        """An image beside its target, with the maps that the data set has of the frame."""
+        labels = self.pairs.stored("segmentation", frame)
+        attenuation = self.pairs.read("attenuation", [frame])[0] if "attenuation" in self.pairs.maps else None
+        return Pair(
+            prediction=image,
+            target=self.pairs.stored("target", frame),
+            mask=self._mask,
+            tissue_mask=np.isin(labels, tissue_labels(self.tissues)),
+            bone_mask=np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone])),
+            attenuation=attenuation,
+            segmentation=labels,
+            **self._sizes,
+        )
 
 
-def _distances(metrics: list[Metric], rendered: np.ndarray, wanted: np.ndarray, sites: np.ndarray) -> dict[str, float]:
-    """Distances between features of images and of their targets, (n, d) each; intervals, over `sites`, need two."""
+def _stacked(features: Collection[Features]) -> Features:
+    """Features of several batches of images as one array, and those of their targets."""
+    rendered, wanted = zip(*features, strict=True)
+    return np.concatenate(rendered), np.concatenate(wanted)
+
+
+def _means(per_image: pd.DataFrame) -> dict[str, float]:
+    """The mean of each metric over its finite values."""
+    finite = per_image[np.isfinite(per_image["value"])]
+    return {str(name): _mean(of_metric.tolist()) for name, of_metric in finite.groupby("metric")["value"]}
+
+
+def _mean(values: list[float]) -> float:
+    """The mean by Kahan's compensated sum: that of pandas, which adds otherwise where a group is alone in its table."""
+    total = lost = 0.0
+    for value in values:
+        term = value - lost
+        raised = total + term
+        lost = raised - total - term
+        total = raised
+    return total / len(values)
+
+
+def _distances(metrics: Collection[Metric], batches: Collection[Features], sites: np.ndarray) -> dict[str, float]:
+    """Distances between features of images and of their targets; intervals, over the sites, need two.
+
+    `sites`, (n,) int, is that of each image; rows of features go image by image.
+    """
+    rendered, wanted = _stacked(batches)
+    groups = np.repeat(sites, len(rendered) // len(sites))
     scalars = {}
-    for name, of_set in ((metric.name, metric.of_set) for metric in metrics if metric.of_set):
-        scalars[name] = of_set.distance(rendered, wanted)
+    for metric in metrics:
+        if metric.of_set is None:
+            continue
+        scalars[metric.name] = metric.of_set.distance(rendered, wanted)
         if len(np.unique(sites)) > 1:
-            ends = bootstrap_interval(of_set.distance, rendered, wanted, sites, of_set.resamples)
-            scalars |= {f"{name}_{side}": end for side, end in zip(BOUNDS, ends, strict=True)}
+            ends = bootstrap_interval(metric.of_set.distance, rendered, wanted, groups, metric.of_set.resamples)
+            scalars |= {f"{metric.name}_{side}": end for side, end in zip(BOUNDS, ends, strict=True)}
     return scalars
 
 
@@ -209,7 +252,9 @@ def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[
     ]
     table = pd.DataFrame(rows, columns=list(SCORE_COLUMNS)).astype({"value": "float64"})
     infinite = np.isinf(table["value"]) & ~table["metric"].isin(METRICS)  # PSNR of identical images is, by definition
-    for (name, value), rows in table[table["value"].isna() | infinite].groupby(["metric", "value"], dropna=False):
-        word, named = "NaN" if np.isnan(value) else "infinite", ", ".join(rows["frame"].astype(str))
+    without = table[table["value"].isna() | infinite]
+    for (name, value), of_value in without.groupby(["metric", "value"], dropna=False):
+        word = "NaN" if np.isnan(value) else "infinite"
+        named = ", ".join(of_value["frame"].astype(str))
         logging.getLogger(__name__).warning("%s is %s on %s frame %s: not in its mean", name, word, part.name, named)
     return table

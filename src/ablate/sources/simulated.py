@@ -142,18 +142,10 @@ def simulate_data(
         "poses": {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped},
         "time_gain_db": simulator.time_gain_db,
     }
-    pairs = dataset.create_pairs(
-        folder,
-        poses=layout.poses,
-        sites=layout.sites,
-        split=layout.split,
-        mask=fan_mask(settings.probe, settings.simulator.image_shape),
-        shard=settings.dataset.shard,
-        tissues=[tissue.name for tissue in scene.tissues],
-        about=about,
-        space=Space.beam,
-        probe=settings.probe,
-        beam_shape=simulator.beam_shape,
-    )
+    mask = fan_mask(settings.probe, settings.simulator.image_shape)
+    frames = dataset.PlacedFrames(layout.poses, layout.sites, layout.split, mask)
+    names = [tissue.name for tissue in scene.tissues]
+    stored_as = dataset.StoredAs(settings.dataset.shard, names, Space.beam, settings.probe, simulator.beam_shape)
+    pairs = dataset.create_pairs(folder, frames, stored_as, about)
     made_with = Recipe(scene, settings.probe, simulator, settings.dataset.seed)
     dataset.simulate_pairs(made_with, pairs, maps, settings.dataset.workers)

@@ -17,10 +17,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ablate.evaluation.scorer import Scores
+from ablate.evaluation import Scores
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
-from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX
 from ablate.storage import remove_partial, written_whole
 from ablate.user_code import load, source_digest
 
@@ -99,18 +98,9 @@ def by_metric(scores: Scores, keys: Iterable[ScoreKey]) -> dict[ScoreKey, Score]
     now = datetime.now(UTC).isoformat(timespec="seconds")
     found = {}
     for key in keys:
-        values = scores.per_image[scores.per_image["metric"] == key.metric].reset_index(drop=True)
-        scalars = {name: value for name, value in scores.scalars.items() if _metric_of_scalar(name) == key.metric}
-        found[key] = Score(values, scalars, scores.notes, now)
+        own = scores.of_metric(key.metric)
+        found[key] = Score(own.per_image, own.scalars, own.notes, now)
     return found
-
-
-def _metric_of_scalar(name: str) -> str:
-    """The metric behind `test/floor_psnr` or `val/fd_speckle_lower`."""
-    metric = name.rpartition("/")[2].removeprefix(FLOOR_PREFIX)
-    for side in BOUNDS:
-        metric = metric.removesuffix(f"_{side}")
-    return metric
 
 
 def write_score(folder: Path, key: ScoreKey, score: Score) -> None:

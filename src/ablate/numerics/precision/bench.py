@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from statistics import median
 from typing import Any, TypeVar
 
@@ -12,6 +13,7 @@ from tqdm import tqdm
 from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
 from ablate.dataset.simulate import nudged
+from ablate.evaluation import time_in_turns
 from ablate.metrics import METRICS, Pair, evaluate_image
 from ablate.sources.prepare import frames_of, simulator_of
 from ablate.sources.source import source_of
@@ -22,7 +24,7 @@ from ablate.ultrasound.stages import Stage, stage_times
 
 T = TypeVar("T")
 Row = tuple[object, ...]
-_TURN = 2  # poses of one setting before the next setting
+Frame = tuple[np.ndarray, np.ndarray]  # an image and its envelope
 ENVELOPE = "envelope_rms"
 #: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
 IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smooth"))
@@ -121,64 +123,114 @@ def each(*first: object, values: Mapping[str, float]) -> list[Row]:
     return [(*first, name, value) for name, value in values.items()]
 
 
+def progress_text(what: str) -> str:
+    """What stands at a bar."""
+    return f"precision, {what.replace('_', ' ')}"
+
+
 def shown_progress(steps: Iterable[T], what: str) -> Iterable[T]:
     """Give each step in turn, and show how many are done of what is measured."""
-    return tqdm(steps, f"precision, {what.replace('_', ' ')}", unit="step", leave=False, disable=None)
+    return tqdm(steps, progress_text(what), unit="step", leave=False, disable=None)
 
 
 def render_all(
     bench: Bench, several: Sequence[SimulatorSettings], seeds: Sequence[int], what: str
 ) -> list[tuple[list[Frames], float]]:
-    """Return the frames of each seed of the scatterers, and the median milliseconds of an image, by setting.
+    """Render the poses with several settings, and time an image of each.
 
-    The speed of a machine changes over seconds. Therefore the settings take turns, a few poses each, in an order that
-    is reversed every time. Only the first seed is timed; the others reuse its rays. Each pose is new to the simulator,
-    and the first rendering of a turn is not counted. The time excludes all maps, which an image does not need,
-    and the noise of the receiver, which is kept over a series of frames.
+    The settings take turns. Only the first seed is timed; the others reuse its rays. Each pose is new to the simulator,
+    which has just rendered another one. The time excludes all maps, which an image does not need, and the noise of the
+    receiver, which is kept over a series of frames.
+
+    Parameters
+    ----------
+    bench : Bench
+        Scene, probe and poses.
+    several : sequence of SimulatorSettings
+        Those that are compared.
+    seeds : sequence of int
+        Of the scatterers.
+    what : str
+        Stands at the bar that shows how far it is.
+
+    Returns
+    -------
+    list of (list of Frames, float)
+        By setting the frames of each seed, and the median milliseconds of an image.
     """
-    simulators = [Simulator(bench.scene, bench.probe, settings, poses=bench.poses) for settings in several]
-    rows: list[list[list[tuple[np.ndarray, np.ndarray]]]] = [[] for _ in several]
-    times: list[list[float]] = [[] for _ in several]
-    turns = list(range(len(several)))
-    for begin in shown_progress(range(0, len(bench.poses), _TURN), what):
-        for k in turns:
-            simulator = simulators[k]
-            simulator.render(nudged(bench.poses[begin]), seeds[0])
-            for pose in bench.poses[begin : begin + _TURN]:
-                start = time.perf_counter()
-                simulator.image(pose, seeds[0])
-                times[k].append(1e3 * (time.perf_counter() - start))
-                shown = [simulator.render(pose, seed) for seed in seeds]
-                rows[k].append([(f.image, f.envelope) for f in shown])  # the maps of all settings would take gigabytes
-                if len(seeds) > 1:
-                    simulator.render(pose, seeds[0])  # a simulator keeps the noise of its last seed
-        turns.reverse()
-    stacked = [[Frames(*map(np.stack, zip(*column, strict=True))) for column in zip(*r, strict=True)] for r in rows]
-    return [(frames, median(t)) for frames, t in zip(stacked, times, strict=True)]
+    simulators = {
+        str(place): Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
+        for place, settings in enumerate(several)
+    }
+    shown: dict[str, list[list[Frame]]] = {name: [[] for _ in seeds] for name in simulators}
+
+    def render_another(name: str, number: int) -> None:
+        simulators[name].render(nudged(bench.poses[number - 1]), seeds[0])
+
+    def time_image(simulator: Simulator, number: int) -> None:
+        simulator.image(bench.poses[number - 1], seeds[0])
+
+    def keep_frames(name: str, number: int) -> None:
+        for seed, frames in zip(seeds, shown[name], strict=True):
+            frame = simulators[name].render(bench.poses[number - 1], seed)
+            frames.append((frame.image, frame.envelope))  # the maps of all settings would take gigabytes
+
+    times = time_in_turns(
+        {name: partial(time_image, simulator) for name, simulator in simulators.items()},
+        rounds=len(bench.poses),
+        warm_up=0,
+        before=render_another,
+        after=keep_frames,
+        what=progress_text(what),
+    )
+    median_ms = times.groupby("call")["ms"].median()
+    return [([_stacked(frames) for frames in shown[name]], float(median_ms[name])) for name in simulators]
+
+
+def _stacked(frames: Sequence[Frame]) -> Frames:
+    images, envelopes = zip(*frames, strict=True)
+    return Frames(np.stack(images), np.stack(envelopes))
 
 
 def time_stages(bench: Bench, settings: SimulatorSettings) -> dict[str, float]:
     """Measure the median milliseconds of each stage of an image, in order; the rest is `everything else`."""
     simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
     simulator.render(nudged(bench.poses[0]), bench.seed)
-    whole, each = [], []
+    stages: dict[Stage, list[float]] = {stage: [] for stage in Stage}
+    rest = []
     for pose in shown_progress(bench.poses, f"stages of {settings.rays} rays"):
         with stage_times() as taken:
             start = time.perf_counter()
             simulator.image(pose, bench.seed)
-            whole.append(1e3 * (time.perf_counter() - start))
-        each.append([sum(taken[name]) for name in Stage])
-    columns = zip(Stage, zip(*each, strict=True), strict=True)
-    stages = {name.value: median(column) for name, column in columns if any(column)}
-    return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
+            whole = 1e3 * (time.perf_counter() - start)
+        for stage, times in stages.items():
+            times.append(sum(taken[stage]))
+        rest.append(whole - sum(times[-1] for times in stages.values()))
+    medians = {stage.value: median(times) for stage, times in stages.items() if any(times)}
+    return medians | {"everything else": median(rest)}
 
 
 def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     """List settings by the name and the value of what is changed; each ladder includes `base` itself."""
-    values: dict[str, set[Any]] = {"rays": {*RAYS, base.rays}, "layers": {*LAYERS, base.layers}}
-    for name, whole in (("scanlines", 1), ("axial_samples", min(base.samples_per_row, base.axial_samples))):
-        values[name] = {whole * max(1, round(part * getattr(base, name) / whole)) for part in _FRACTIONS}
-    return {name: {v: replace(base, **{name: v}) for v in sorted(chosen)} for name, chosen in values.items()}
+    values = {
+        "rays": {*RAYS, base.rays},
+        "layers": {*LAYERS, base.layers},
+        "scanlines": _fractions(base.scanlines),
+        "axial_samples": _fractions(base.axial_samples, min(base.samples_per_row, base.axial_samples)),
+    }
+    return {
+        name: {value: _changed(base, name, value) for value in sorted(of_ladder)} for name, of_ladder in values.items()
+    }
+
+
+def _fractions(length: int, step: int = 1) -> set[int]:
+    """The nearest multiples of a step to fractions of a length."""
+    return {step * max(1, round(fraction * length / step)) for fraction in _FRACTIONS}
+
+
+def _changed(base: SimulatorSettings, name: str, value: int) -> SimulatorSettings:
+    changes: dict[str, Any] = {name: value}
+    return replace(base, **changes)
 
 
 def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
@@ -188,25 +240,21 @@ def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
     phases of clutter depend on `path_seed` and on the grid, not on the rays. With another number of rays and the same
     `path_seed` only the paths differ.
     """
-    base, seeds = bench.simulator, (bench.seed, bench.seed + 1)
-    ((reference,), _), ((half,), _) = (
-        render_all(bench, [replace(base, rays=rays)], seeds[:1], f"reference of {rays} rays")[0]
-        for rays in (REFERENCE_RAYS, REFERENCE_RAYS // 2)
-    )
-
-    def errors_of(frames: Frames, other: Frames = reference) -> dict[str, float]:
-        return mean_errors(frames, other, bench.probe)
-
+    base = bench.simulator
+    reference = _rendered(bench, replace(base, rays=REFERENCE_RAYS), f"reference of {REFERENCE_RAYS} rays")
+    half_rays = REFERENCE_RAYS // 2
+    half = _rendered(bench, replace(base, rays=half_rays), f"reference of {half_rays} rays")
     points: list[Row] = []
     details: list[Row] = []
     for name, ladder in ladders(base).items():
-        measured, words = render_all(bench, list(ladder.values()), seeds, name), name.replace("_", " ")
+        measured = render_all(bench, list(ladder.values()), (bench.seed, bench.seed + 1), name)
+        words = name.replace("_", " ")
         for value, ((rendered, other), ms) in zip(ladder, measured, strict=True):
-            errors = errors_of(rendered)
+            errors = mean_errors(rendered, reference, bench.probe)
             points += each(f"simulator, {words}", value, ms, values=errors)
-            points += each(OTHER_SERIES, f"{words} {value}", ms, values=errors_of(other))
+            points += each(OTHER_SERIES, f"{words} {value}", ms, values=mean_errors(other, reference, bench.probe))
             if name == "rays":
-                to_half = errors_of(rendered, half)
+                to_half = mean_errors(rendered, half, bench.probe)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
                 details += each("reference", RAYS_SERIES, value, values=changes)
             if value == getattr(base, name):
@@ -214,21 +262,29 @@ def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
     for name in _GRIDS:
         for setting, errors in _converging(bench, name).items():
             details += each("convergence", f"simulator, {name.replace('_', ' ')}", setting, values=errors)
-    in_float64 = replace(base, precision=SimulatorPrecision.float64)
-    (((double,), _),) = render_all(bench, [in_float64], seeds[:1], "float64")
-    limits = errors_of(usual, double)  # of the signal chain in single precision, on the same paths
+    double = _rendered(bench, replace(base, precision=SimulatorPrecision.float64), "float64")
+    limits = mean_errors(usual, double, bench.probe)  # of the signal chain in single precision, on the same paths
     details += each("limit", "simulator, float32 against float64", base.rays, values=limits)
     for rays in sorted({RAYS[0], base.rays, RAYS[-1]}):
         details += each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays)))
     return reference, points, details
 
 
+def _rendered(bench: Bench, settings: SimulatorSettings, what: str) -> Frames:
+    """The poses with one setting and the seed of the data set."""
+    (((frames,), _),) = render_all(bench, [settings], [bench.seed], what)
+    return frames
+
+
 def _converging(bench: Bench, name: str) -> dict[str | int, dict[str, float]]:
     """Compare grids with a finer one, all with more rays, and the finer one with other scatterers as a scale."""
-    base, seeds = replace(bench.simulator, rays=_FINER * bench.simulator.rays), (bench.seed, bench.seed + 1)
-    finest: Any = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
-    (((fine, other), _),) = render_all(bench, [replace(base, **{name: finest})], seeds, f"finest {name}")
+    base = replace(bench.simulator, rays=_FINER * bench.simulator.rays)
+    finest = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
+    seeds = (bench.seed, bench.seed + 1)
+    (((fine, other), _),) = render_all(bench, [_changed(base, name, finest)], seeds, f"finest {name}")
     grids = ladders(base)[name]
     measured = render_all(bench, list(grids.values()), seeds[:1], f"convergence of {name}")
-    rendered = {"other scatterers": other} | {v: f for v, ((f,), _) in zip(grids, measured, strict=True)}
+    rendered: dict[str | int, Frames] = {"other scatterers": other}
+    for value, ((frames,), _) in zip(grids, measured, strict=True):
+        rendered[value] = frames
     return {setting: mean_errors(frames, fine, bench.probe) for setting, frames in rendered.items()}

@@ -1,7 +1,6 @@
 """Error and time of every trained run on disk that was trained on the same pairs."""
 
 import logging
-import time
 from functools import lru_cache, partial
 from statistics import median
 
@@ -10,6 +9,7 @@ import torch
 
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.dataset.simulate import nudged, timed_maps
+from ablate.evaluation import time_in_turns
 from ablate.networks import Generator, Space, conditions
 from ablate.numerics.precision.bench import Bench, Frames, Row, each, mean_errors, shown_progress
 from ablate.settings.study import StudySettings
@@ -60,12 +60,20 @@ def comparable_runs(job: Job) -> tuple[list[Training], str]:
 def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...]]:
     """List precisions and engines that this machine can run, eager first, and say what is missing for the others."""
     device = chosen_device(settings.training.device)
-    has_bf16 = chosen_precision(TrainingPrecision.auto, device) is TrainingPrecision.bf16
-    precisions = (TrainingPrecision.fp32, *([TrainingPrecision.bf16] if has_bf16 else []))
-    notes = [] if has_bf16 else [f"bf16: {device.type} here does not multiply it"]
-    lacking = {engine: missing_for(engine, device) for engine in Engine}
-    notes += [f"engine {engine}: needs {what}" for engine, what in lacking.items() if what]
-    return [(p, engine) for engine, what in lacking.items() if not what for p in precisions], tuple(notes)
+    precisions = [TrainingPrecision.fp32]
+    notes = []
+    if chosen_precision(TrainingPrecision.auto, device) is TrainingPrecision.bf16:
+        precisions.append(TrainingPrecision.bf16)
+    else:
+        notes.append(f"bf16: {device.type} here does not multiply it")
+    ready = []
+    for engine in Engine:
+        lacking = missing_for(engine, device)
+        if lacking:
+            notes.append(f"engine {engine}: needs {lacking}")
+        else:
+            ready += [(precision, engine) for precision in precisions]
+    return ready, tuple(notes)
 
 
 def schedule_of(runs: list[Training], settings: StudySettings) -> Planned:
@@ -76,10 +84,13 @@ def schedule_of(runs: list[Training], settings: StudySettings) -> Planned:
     """
     every, _ = executions(settings)
     eager = [execution for execution in every if Engine.eager in execution]
-    first: dict[str, Training] = {}
-    ordered = sorted(runs, key=lambda run: (str(run.folder.parent), run.label, run.seed))
-    chosen = {r: every if first.setdefault(digest(r.identity["model"]), r) is r else eager for r in ordered}
-    return [(run, execution) for run, its_executions in chosen.items() for execution in its_executions]
+    exported: set[str] = set()
+    planned: Planned = []
+    for run in sorted(runs, key=lambda run: (str(run.folder.parent), run.label, run.seed)):
+        network = digest(run.identity["model"])
+        planned += [(run, execution) for execution in (eager if network in exported else every)]
+        exported.add(network)
+    return planned
 
 
 def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dict[str, np.ndarray], dict[str, float]]:
@@ -96,31 +107,45 @@ def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dic
 def measure_generators(
     bench: Bench, planned: Planned, settings: StudySettings, reference: Frames
 ) -> tuple[list[Row], list[Row]]:
-    """Measure every run, in rows as of `measure_simulator`; a frame's time is that of its inputs and of the network.
+    """Measure every run; a frame's time is that of its inputs and of the network.
 
     An execution that fails, as compilers and runtimes can, is left out with a warning.
+
+    Parameters
+    ----------
+    bench : Bench
+        The frames.
+    planned : list of (Run, Execution)
+        As of `schedule_of`.
+    settings : StudySettings
+        Those of the study that asks.
+    reference : Frames
+        As of `measure_simulator`.
+
+    Returns
+    -------
+    points, details : lists of rows
+        As of `measure_simulator`.
     """
     points: list[Row] = []
     details: list[Row] = []
     if not planned:
         return points, details
-    made = lru_cache(partial(make_inputs, bench))
+    inputs_of = lru_cache(partial(make_inputs, bench))
     device = chosen_device(settings.training.device)
     exact: dict[Training, Frames] = {}
     for run, execution in shown_progress(planned, "trained runs"):
-        study, width = run.folder.parent.name, run.about["settings"]["model"]["width"]
-        elsewhere = "" if study == settings.study else f", {study}"
-        setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
+        setting = _setting(run, execution, settings.study)
         try:
             generator = load_generator(run.checkpoint).to(device)
-            maps, needed = made(conditions(generator.spec), generator.spec.space)
+            maps, inputs_ms = inputs_of(conditions(generator.spec), generator.spec.space)
             rendered, network_ms = _render(run, generator, maps, bench, execution)
         except Exception as failure:
             _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
             continue
-        ms = sum(needed.values()) + network_ms
+        ms = sum(inputs_ms.values()) + network_ms
         points += each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
-        details += each("stage", run.label, setting, values={**needed, "network": network_ms})
+        details += each("stage", run.label, setting, values={**inputs_ms, "network": network_ms})
         if execution == (TrainingPrecision.fp32, Engine.eager):
             exact[run] = rendered
         elif run in exact:
@@ -129,27 +154,38 @@ def measure_generators(
     return points, details
 
 
+def _setting(run: Training, execution: Execution, study: str) -> str:
+    """What tells the executions of a variant apart; another study than the one that asks is named."""
+    elsewhere = run.folder.parent.name
+    parts = [f"width {run.about['settings']['model']['width']:g}", *execution, f"seed {run.seed}"]
+    if elsewhere != study:
+        parts.append(elsewhere)
+    return ", ".join(parts)
+
+
 @torch.inference_mode()
 def _render(
     run: Training, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
 ) -> tuple[Frames, float]:
     """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
-    trained, in_beam_space = run.settings, generator.spec.space is Space.beam
-    values = label_values(bench.scene.tissues, trained.encoding, trained.label_seed)
+    values = label_values(bench.scene.tissues, run.settings.encoding, run.settings.label_seed)
     device = next(generator.parameters()).device
-    simulator = bench.simulator
-    render = open_engine(generator, *(simulator.beam_shape if in_beam_space else simulator.image_shape), *execution)
-    converter = scan_converter(bench.probe, simulator.beam_shape, simulator.image_shape)
-    fan = np.ones(simulator.beam_shape, bool) if in_beam_space else converter.mask
+    in_beam_space = generator.spec.space is Space.beam
+    image_shape, beam_shape = bench.simulator.image_shape, bench.simulator.beam_shape
+    render = open_engine(generator, *(beam_shape if in_beam_space else image_shape), *execution)
+    converter = scan_converter(bench.probe, beam_shape, image_shape)
+    fan = np.ones(beam_shape, bool) if in_beam_space else converter.mask
     mask = torch.from_numpy(fan).to(device)
-    images, times = [], []
-    for k in [0] * _WARMUP + list(range(len(bench.frames))):
-        start = time.perf_counter()
-        read = network_inputs({name: m[k : k + 1] for name, m in maps.items()}, values, fan)
-        seed = torch.tensor([int(bench.frames[k])], device=device)
-        image = render({name: m.to(device) for name, m in read.items()}, seed)
+    images: dict[int, np.ndarray] = {}
+
+    def render_frame(number: int) -> None:
+        frame = max(number, 1) - 1
+        of_frame = {name: of_all[frame : frame + 1] for name, of_all in maps.items()}
+        given = {name: read.to(device) for name, read in network_inputs(of_frame, values, fan).items()}
+        image = render(given, torch.tensor([int(bench.frames[frame])], device=device))
         with without_teams():
             levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device
-        images.append(converter.to_image(levels) if in_beam_space else levels)
-        times.append(1e3 * (time.perf_counter() - start))
-    return Frames(np.stack(images[_WARMUP:])), median(times[_WARMUP:])
+        images[frame] = converter.to_image(levels) if in_beam_space else levels
+
+    times = time_in_turns({run.label: render_frame}, len(bench.frames), warm_up=_WARMUP)
+    return Frames(np.stack([images[frame] for frame in sorted(images)])), float(times["ms"].median())

@@ -114,19 +114,11 @@ class PairFolder:
             "left_out": left_out,
             "frames": [{"name": checked.names[i], "site": checked.sites[i]} for i in order],
         }
-        pairs = dataset.create_pairs(
-            folder,
-            poses=np.full((len(names), 4, 4), np.nan),  # where the probe was is not known
-            sites=sites[order],
-            split=split[order],
-            mask=mask,
-            shard=chosen.shard,
-            tissues=[tissue.name for tissue in tissues],
-            about=about,
-            space=Space.image,
-            probe=checked.probe,
-            beam_shape=checked.beam_shape,
-        )
+        poses = np.full((len(names), 4, 4), np.nan)  # where the probe was is not known
+        frames = dataset.PlacedFrames(poses, sites[order], split[order], mask)
+        tissue_names = [tissue.name for tissue in tissues]
+        stored_as = dataset.StoredAs(chosen.shard, tissue_names, Space.image, checked.probe, checked.beam_shape)
+        pairs = dataset.create_pairs(folder, frames, stored_as, about)
         dataset.import_pairs(checked, names, pairs, maps)
 
     def _left_out(self, checked: PngFolder, mask: np.ndarray) -> list[str]:

@@ -1,0 +1,130 @@
+"""Scores of the images of some frames as values, and why a metric has none."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from ablate.dataset import Part
+from ablate.metrics import METRICS, FeatureKind, InceptionFeatures, Metric, patches_inside
+from ablate.metrics.features import CENTRE, PATCH
+from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX
+
+#: What stands before the scalars of a part in the scores of a run.
+PREFIXES = {Part.validation: "val/", Part.test: "test/"}
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of the images of some frames, or of a run.
+
+    Attributes
+    ----------
+    per_image : DataFrame
+        Columns frame, site, metric, value, and in the scores of a run source (`model`, `resimulation`) and split:
+        infinite PSNR where an image equals its target, NaN or infinite where a user's own metric failed.
+    scalars : dict of str to float
+        The mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`, ...);
+        `_lower` and `_upper` are the ends of a 95 % interval. Those of a run have names such as `test/psnr`,
+        `test/floor_psnr` and `val/psnr`.
+    missing : dict of str to str
+        By metric that was asked for and not computed the reason, the end of a sentence.
+    about_output : tuple of str
+        Of a run, sentences about values that were clipped, and images that differ when they are rendered again.
+    """
+
+    per_image: pd.DataFrame
+    scalars: dict[str, float]
+    missing: dict[str, str] = field(default_factory=dict)
+    about_output: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences about metrics that were not computed, those of one reason together, and about the output."""
+        by_reason: dict[str, list[str]] = {}
+        for name, reason in self.missing.items():
+            by_reason.setdefault(reason, []).append(name)
+        not_computed = [f"{' and '.join(names)}: not computed, {reason}." for reason, names in by_reason.items()]
+        return (*not_computed, *self.about_output)
+
+    def of_metric(self, name: str) -> Scores:
+        """The scores of one metric, as if it alone had been asked for."""
+        scalars = {
+            f"{part}{mark}{name}{bound}"
+            for part in ("", *PREFIXES.values())
+            for mark in ("", FLOOR_PREFIX)
+            for bound in ("", *(f"_{side}" for side in BOUNDS))
+        }
+        return Scores(
+            per_image=self.per_image[self.per_image["metric"] == name].reset_index(drop=True),
+            scalars={key: value for key, value in self.scalars.items() if key in scalars},
+            missing={key: reason for key, reason in self.missing.items() if key == name},
+            about_output=self.about_output,
+        )
+
+
+def joined(scores: Sequence[Scores]) -> Scores:
+    """The scores of different metrics of the same images as one; rows are frame by frame, as of one scoring."""
+    scalars: dict[str, float] = {}
+    missing: dict[str, str] = {}
+    about_output: dict[str, None] = {}
+    for each in scores:
+        scalars |= each.scalars
+        missing |= each.missing
+        about_output |= dict.fromkeys(each.about_output)
+    return Scores(_frame_by_frame([each.per_image for each in scores]), scalars, missing, tuple(about_output))
+
+
+def _frame_by_frame(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of metrics one below the other, and the rows of a frame, of one source and part, together."""
+    with_rows = [table for table in tables if len(table)] or tables[:1]
+    table = pd.concat(with_rows, ignore_index=True)
+    of_run = [column for column in ("source", "split") if column in table]
+    keys = [table["frame"].to_numpy(), *(pd.factorize(table[column])[0] for column in of_run)]
+    return table.iloc[np.lexsort(keys)].reset_index(drop=True)  # the last key leads; equal rows stay in order
+
+
+def not_computed(
+    metrics: Collection[Metric], mask: np.ndarray, frames: int, inception: InceptionFeatures | None
+) -> dict[str, str]:
+    """Reasons, the ends of sentences, why distances cannot be computed, by their names.
+
+    Parameters
+    ----------
+    metrics : collection of Metric
+        Those that are asked for.
+    mask : (H, W) bool
+        The fan of each frame.
+    frames : int
+        How many there are.
+    inception : InceptionFeatures or None
+        None where no weights were given.
+
+    Returns
+    -------
+    dict of str to str
+        Of the metrics without a value alone.
+    """
+    reasons: dict[FeatureKind, str] = {}
+    of_texture = " and ".join(metric.name for metric in METRICS.values() if metric.uses(FeatureKind.speckle))
+    instead = f"; {of_texture} are these distances of a texture descriptor, not of Inception's features"
+    if min(mask.shape) < CENTRE:
+        size = f"{mask.shape[0]} x {mask.shape[1]} px"
+        too_small = f"frames of {size} are smaller than the {CENTRE} px centre that they are made of"
+        reasons[FeatureKind.inception] = too_small + instead
+    elif inception is None:
+        no_weights = "no Inception weights were given (evaluation.inception=path/to/file or =download)"
+        reasons[FeatureKind.inception] = no_weights + instead
+    if patches_inside(mask, PATCH).sum() * frames < 2:
+        reasons[FeatureKind.speckle] = f"fewer than two patches of {PATCH} x {PATCH} px lie inside the fan"
+    return {metric.name: reason for features, reason in reasons.items() for metric in metrics if metric.uses(features)}
+
+
+def without_values(metrics: Collection[Metric], per_image: pd.DataFrame) -> dict[str, str]:
+    """The reason, the end of a sentence, why metrics of images have no value of any frame, by their names."""
+    what = "bone, shadow, tissue, patches in the fan, a map of attenuation, or a known depth of the pixels"
+    names = {metric.name for metric in metrics if not metric.of_set} - set(per_image["metric"])
+    return dict.fromkeys(sorted(names), f"as no frame has what is needed ({what})")
