@@ -33,7 +33,13 @@ def brightness(pair):
 
 
 NEW = Metric(
-    *("brightness", "Brightness error", "grey levels", Direction.lower, Resimulation.floor, Group.pixel, 1),
+    name="brightness",
+    label="Brightness error",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.pixel,
+    decimals=1,
     shown=Shown.everywhere,
     of_image=brightness,
 )

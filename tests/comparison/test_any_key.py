@@ -123,7 +123,7 @@ def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
 
 def test_a_metric_is_known_by_the_name_that_its_values_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = "from ablate.metrics import Direction, Metric\ndef bias(pair):\n    return 1.0\n"
-    code += "error = Metric('bias', 'Bias', 'share', Direction.lower, of_image=bias)\n"
+    code += "error = Metric('bias', label='Bias', unit='share', better=Direction.lower, of_image=bias)\n"
     (tmp_path / "two_of_one_name.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     sources = sources_of(["psnr", "two_of_one_name.bias", "two_of_one_name.error"])

@@ -443,7 +443,7 @@ def test_a_metric_that_a_result_names_is_not_imported(study: Path, monkeypatch: 
         table = pd.read_parquet(folder / "per_image.parquet")
         table.assign(metric=table["metric"].replace("mae", "brightness")).to_parquet(folder / "per_image.parquet")
     module = ModuleType("of_a_user")
-    module.own = Metric("brightness", "Brightness error", of_image=lambda _: 0.0)  # type: ignore[attr-defined]
+    module.own = Metric("brightness", label="Brightness error", of_image=lambda _: 0.0)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "of_a_user", module)
     assert len(usable_runs(study).runs) == 12
     assert metric_of("brightness").label == "brightness"
