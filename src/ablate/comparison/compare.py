@@ -11,11 +11,11 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis, tracking
-from ablate.analysis import RESIMULATION, FramePictures, listed
+from ablate.analysis import StudyResults, draw_figures, listed
 from ablate.analysis.tables import head
 from ablate.comparison.frame_times import TIMES, time_networks, timed_on, untimed
 from ablate.comparison.opened import Study
-from ablate.comparison.reading import pictures, provenance, runtime_points
+from ablate.comparison.reading import pictures, provenance
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
@@ -104,77 +104,44 @@ def write_comparison(study: Study, title: str) -> list[str]:
     partial = folder.with_name(f"{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    claims = analysis.seed_claims(study.per_image, study.scalars, reference)
     try:
         frames = pictures(usable.runs, reference)
         missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
     except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
         frames, missing = [], [f"There are no pictures: {' '.join(str(error).split())}."]
-    figures = draw_figures(study, frames, partial)
+    results = StudyResults(
+        per_image=study.per_image,
+        scalars=study.scalars,
+        reference=reference,
+        blocks=study.blocks,
+        design=judged.design,
+        means=judged.means,
+        components=judged.components,
+        spreads=judged.spreads,
+        pictures=frames,
+        machine=timed_on(usable.all),
+    )
+    figures = draw_figures(results, partial)
     notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*study.table["metric"]} - {FRAME_TIME})]
     analysis.write_report(
         partial / "report.html",
+        results,
         title,
-        study.per_image,
-        study.table,
-        study.paired,
-        claims=claims,
-        verdicts=judged.verdicts,
-        components=judged.components,
-        figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
+        figures=figures,
+        notes=notes,
         left_out=_left_out(usable.all),
         provenance=provenance(usable.all),
-        reference=reference,
-        notes=notes,
-        blocks=study.blocks,
     )
     analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
     of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
-    tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
+    tables = {"paired": results.paired, "claims": results.claims, "verdicts": judged.verdicts, "runs": judged.runs}
     more = {"effects": judged.effects} if len(judged.effects) else {}
     for name, content in (tables | more).items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
     return [*notes, *analysis.cautions(study.per_image, reference, study.blocks)]
-
-
-def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) -> list[tuple[Path, str]]:
-    """Draw every figure for which there are numbers or pictures; returns PNGs and PDFs, each with its caption."""
-    reference, per_image, answers = study.reference, study.per_image, study.answers
-    design, means, components = answers.design, answers.means, answers.components
-    resimulated = RESIMULATION in set(per_image["variant"])
-    made: list[tuple[Path, str]] = []
-
-    def add(paths: Sequence[Path], figure: str, metrics: Sequence[str] = (), **shown: object) -> None:
-        made.extend((path, analysis.caption(figure, metrics, reference, resimulated, **shown)) for path in paths)
-
-    runs = analysis.improvements(means, design, components)
-    pairs = analysis.interactions(means, design, components)
-    drawn = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
-    add(drawn, "verdicts", design=design)
-    page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
-    for k, start in enumerate(range(0, len(frames), page)):
-        drawn = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
-        add(drawn, "qualitative", attenuation=frames[start].attenuation is not None)
-    scored = analysis.ordered_metrics(list(per_image["metric"]))
-    headline = [name for name in shown_in(Shown.headline) if name in scored]
-    for stem, metrics in {"boxplots": headline, **{f"boxplot_{name}": [name] for name in scored}}.items():
-        drawn = analysis.boxplot_panels(per_image, metrics, folder / stem, reference, study.paired, components)
-        add(drawn, "boxplots", metrics)
-    panels = shown_in(Shown.panels)
-    drawn = analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components)
-    add(drawn, "seeds", panels)
-    for k, frame in enumerate(frames):
-        drawn = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
-        add(drawn, "pchi2_maps", frame=frame.name)
-    points, floors = runtime_points(study.table)
-    if len(points):
-        machine = timed_on(study.usable.all)
-        drawn = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, machine, components)
-        add(drawn, "error_vs_runtime", list(dict.fromkeys(points["metric"])))
-    return made
 
 
 def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> None:

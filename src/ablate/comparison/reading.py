@@ -11,7 +11,6 @@ from ablate import analysis
 from ablate.analysis import REFERENCE, RESIMULATION, Component, Design, FramePictures, ordered_variants
 from ablate.comparison.frame_times import frame_times
 from ablate.comparison.usable_runs import factors_of, levels_of
-from ablate.metrics import Shown, shown_in
 from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.networks.spec import Family
 from ablate.runs.run import Run
@@ -54,20 +53,6 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     table = pd.DataFrame(scalars)
     times = frame_times(runs)
     return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
-
-
-def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
-
-    `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
-    """
-    times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
-    scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
-    points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
-    points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
-    floors = scored[scored["variant"] == RESIMULATION]
-    known = {str(metric): float(mean) for metric, mean in zip(floors["metric"], floors["mean"], strict=True)}
-    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], known
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
@@ -125,6 +110,7 @@ class Answers:
     verdicts: pd.DataFrame
     runs: pd.DataFrame
     components: tuple[Component, ...]  # what was judged: the declared ones, and keys that somebody swept
+    spreads: Mapping[str, float]  # of the measurement of a cost
 
 
 def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
@@ -142,7 +128,7 @@ def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
     spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     effects = pd.DataFrame() if design is None else analysis.effects_table(means, design)
     verdicts = analysis.verdict_table(means, design, judged, spreads)
-    return Answers(design, means, effects, verdicts, _wide(per_image, scalars, told, factors), judged)
+    return Answers(design, means, effects, verdicts, _wide(per_image, scalars, told, factors), judged, spreads)
 
 
 def _wide(
