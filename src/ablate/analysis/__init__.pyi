@@ -37,11 +37,11 @@ from .statistics.verdicts import verdict_table as verdict_table
 from .statistics.work_precision import observed_order as observed_order
 from .statistics.work_precision import pareto_front as pareto_front
 from .statistics.work_precision import runtime_points as runtime_points
-from .tables import comparison_table as comparison_table
-from .tables import partly_scored as partly_scored
+from .summaries import comparison_table as comparison_table
+from .summaries import partly_scored as partly_scored
+from .summaries import wide_table as wide_table
 from .tables import to_latex as to_latex
 from .tables import to_markdown as to_markdown
 from .tables import to_text as to_text
-from .tables import wide_table as wide_table
 from .templates import caption as caption
 from .templates import listed as listed

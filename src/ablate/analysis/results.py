@@ -13,7 +13,7 @@ from ablate.analysis.statistics.component_claims import seed_claims
 from ablate.analysis.statistics.designs import Design, effects_table
 from ablate.analysis.statistics.paired import paired_table
 from ablate.analysis.statistics.verdicts import verdict_table
-from ablate.analysis.tables import comparison_table
+from ablate.analysis.summaries import comparison_table
 
 
 @dataclass(frozen=True, eq=False)
