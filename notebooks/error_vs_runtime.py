@@ -19,14 +19,13 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import pandas as pd
-from ablate.comparison.frame_times import timed_on
-from ablate.comparison.opened import found_study
-from ablate.comparison.reading import runtime_points
 from IPython.display import Image, display
 
-from ablate.analysis import error_vs_runtime, pareto_front
+from ablate.analysis import error_vs_runtime, pareto_front, runtime_points
 from ablate.metrics import metric_of
 from ablate.storage import read_json
+from ablate.study.frame_times import timed_on
+from ablate.study.opened import found_study
 
 study = found_study()
 folder = Path(mkdtemp())

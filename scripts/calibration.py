@@ -15,7 +15,7 @@ import pandas as pd
 from scipy import stats
 from tqdm import trange
 
-from ablate.analysis import Verdict, factorial_effects, paired_difference, seed_claims
+from ablate.analysis import Claim, factorial_effects, paired_difference, seed_claims
 
 VARIANTS, METRICS = 8, 5  # of a study: seven comparisons in five metrics
 LEVEL = 0.05
@@ -135,7 +135,7 @@ def seed_level(sizes: Sizes, seeds: int, effect: float, repetitions: int, spread
     counts = dict.fromkeys(("alone", "differs", "any_alone", "any_differs"), 0)
     for k in trange(repetitions, desc=f"{seeds} seeds, effect {effect:g}", leave=False, mininterval=1.0, disable=None):
         claims = study_claims(sizes, seeds, effect, np.random.default_rng(k), spread)
-        alone, differs = claims["p"].astype(float) < LEVEL, claims["verdict"] == Verdict.differs
+        alone, differs = claims["p"].astype(float) < LEVEL, claims["verdict"] == Claim.differs
         first = (claims["variant"] == "v1") & (claims["metric"] == "m0")
         counts["alone"] += int(alone[first].any())
         counts["differs"] += int(differs[first].any())

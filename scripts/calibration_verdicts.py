@@ -14,8 +14,10 @@ from ablate.comparison.usable_runs import levels_of
 from ablate.jobs.compose import jobs_of
 from tqdm import trange
 
-from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
+from ablate.analysis import Design, Verdict, find_design, run_means, verdict_table
+from ablate.command.compose import jobs_of
 from ablate.settings.conf import components
+from ablate.study.comparable import levels_of
 
 NAMES = tuple(component.name for component in components())
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
@@ -78,10 +80,10 @@ def shares(
     dict
         `<answer>`: of that component; `any_<answer>`: of at least one component.
     """
-    counts = {f"{prefix}{word}": 0 for word in Answer for prefix in ("", "any_")}
+    counts = {f"{prefix}{word}": 0 for word in Verdict for prefix in ("", "any_")}
     for k in trange(repetitions, desc=f"{effects}, band {band:g}", leave=False, mininterval=1.0, disable=None):
         said = verdicts(runs, design, effects, band, k)["verdict"]
-        for word in Answer:
+        for word in Verdict:
             counts[word] += int(said[component] == word)
             counts[f"any_{word}"] += int((said == word).any())
     return {name: count / repetitions for name, count in counts.items()}
@@ -94,7 +96,7 @@ def report(repetitions: int, name: str, component: str) -> Iterator[str]:
     yield f"| --- |{' --- |' * (1 + len(EFFECTS))}"
     study = runs_of(name)
     found = [shares(*study, component, {component: size}, 0.5, repetitions) for size in (0.0, *EFFECTS)]
-    for word in Answer:
+    for word in Verdict:
         yield f"| `{word}` | {' | '.join(f'{rates[word]:.2f}' for rates in found)} |"
     yield f"\n| band, where no component improves anything | {' | '.join(f'{band:g}' for band in BANDS)} |"
     yield f"| --- |{' --- |' * len(BANDS)}"

@@ -19,8 +19,8 @@ import ablate
 from ablate.analysis import (
     REFERENCE,
     RESIMULATION,
-    Answer,
     FramePictures,
+    Verdict,
     caption,
     forest_figure,
     improvements,
@@ -235,7 +235,7 @@ def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
         effect = signed(row["effect"], decimals)
         if pd.notna(row["lower"]):
             effect += f" [{signed(row['lower'], decimals)}, {signed(row['upper'], decimals)}]"
-        word = f"**{Answer(row['verdict']).replace('_', ' ')}**" + (" (preliminary)" if preliminary else "")
+        word = f"**{Verdict(row['verdict']).replace('_', ' ')}**" + (" (preliminary)" if preliminary else "")
         chances = (probability(row[name]) for name in ("p_holm", "p_band_holm"))
         costs = signed(row["ms_per_frame"], 1), signed(row["parameters"] / 1000, 0)
         rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:g}", *chances, *costs])

@@ -1,5 +1,6 @@
 """Figures are written whole, in both formats, and show what they say."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.image import imread
 
 from ablate import analysis
 from ablate.analysis import RESIMULATION
+from ablate.analysis import figures as package
 from ablate.analysis.figures.style import shown_name
 from ablate.metrics import Direction, Metric, patch_chi2
 from support.components import COMPONENTS
@@ -23,8 +25,8 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
-        monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
+    for module in ("boxplot", "seed", "forest", "qualitative", "chi2_maps", "runtime"):
+        monkeypatch.setattr(f"ablate.analysis.figures.{module}_figure.save_figure", keep)
     return drawn
 
 
@@ -195,6 +197,57 @@ def test_captions_tell_a_floor_from_a_level():
         assert "level of a perfect stochastic renderer for PSNR" in text
     assert "frame 3" in analysis.caption("pchi2_maps", frame="frame 3")
     assert analysis.caption("verdicts", design=None).endswith("the parameters of the network.")
+
+
+def drawn_of(results, folder):
+    """What `draw_figures` gives, as (file, section)."""
+    return [(figure.path.name, str(figure.section)) for figure in analysis.draw_figures(results, folder)]
+
+
+@pytest.mark.usefixtures("figures")
+def test_all_figures_for_which_there_are_numbers_or_pictures_are_drawn(study, pictures, tmp_path):
+    frames = [replace(pictures, name=f"frame {k}") for k in (7, 9)]
+    times = [(name, 0, "ms_per_frame", 5.0, 4.0, 6.0) for name in ("sa2h", "nsa2h")]
+    scalars = pd.DataFrame(times, columns=["variant", "seed", "metric", "value", "lower", "upper"])
+    whole = analysis.StudyResults(per_image=study, scalars=scalars, pictures=frames)
+    assert drawn_of(whole, tmp_path) == [
+        ("qualitative_0", "figures"),
+        ("boxplots", "figures"),
+        ("boxplot_psnr", "folded"),
+        ("boxplot_pchi2", "folded"),
+        ("seeds", "figures"),
+        ("pchi2_maps_0", "figures"),
+        ("pchi2_maps_1", "folded"),
+        ("error_vs_runtime", "figures"),
+    ]
+    captions = {figure.path.name: figure.caption for figure in analysis.draw_figures(whole, tmp_path)}
+    assert all(captions.values())
+    assert "(frame 9)" in captions["pchi2_maps_1"]
+    alone = analysis.StudyResults(per_image=study[study["variant"] == "sa2h"])
+    assert drawn_of(alone, tmp_path) == [("seeds", "figures")]
+
+
+NEW_FIGURE = """
+from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
+
+def draw(results, folder):
+    path = folder / "own.png"
+    path.write_bytes(str(len(results.per_image)).encode())
+    yield Drawing([path], metrics=["psnr"])
+
+OWN = StudyFigure(name="seeds", section=Section.verdicts, draw=draw, place=0)
+"""
+
+
+@pytest.mark.usefixtures("figures")
+def test_a_new_figure_is_found_by_its_module(study, tmp_path, monkeypatch):
+    (tmp_path / "own_figure.py").write_text(NEW_FIGURE, "utf-8")
+    monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])
+    drawn = analysis.draw_figures(analysis.StudyResults(per_image=study), tmp_path)
+    del sys.modules["ablate.analysis.figures.own_figure"]
+    assert (drawn[0].path.name, str(drawn[0].section)) == ("own.png", "verdicts")
+    assert drawn[0].path.read_bytes() == str(len(study)).encode()
+    assert drawn[0].caption.startswith("Scores of all trainings.")
 
 
 @pytest.mark.parametrize(("better", "front"), [(Direction.zero, [-0.5, 0.1]), (Direction.none, None)])

@@ -33,7 +33,13 @@ def brightness(pair):
 
 
 NEW = Metric(
-    *("brightness", "Brightness error", "grey levels", Direction.lower, Resimulation.floor, Group.pixel, 1),
+    name="brightness",
+    label="Brightness error",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.pixel,
+    decimals=1,
     shown=Shown.everywhere,
     of_image=brightness,
 )
@@ -67,8 +73,9 @@ def scored(metrics):
 
 
 def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypatch):
-    name = "ablate.analysis.figures.panel_figures.save_figure"  # figures are laid out, not written
-    monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
+    for module in ("boxplot_figure", "seed_figure"):  # figures are laid out, not written
+        name = f"ablate.analysis.figures.{module}.save_figure"
+        monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
     assert metric_of("brightness") is NEW
     assert all("brightness" in shown_in(place) for place in Shown.everywhere)
     per_image = scored(chosen)
@@ -93,7 +100,8 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     assert analysis.boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)
     assert analysis.seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
     assert all("Brightness error" in analysis.caption(figure, ["brightness"]) for figure in ("boxplots", "seeds"))
-    page = analysis.write_report(tmp_path / "report.html", "new", per_image, table, paired, claims).read_text("utf-8")
+    results = analysis.StudyResults(per_image=per_image)
+    page = analysis.write_report(tmp_path / "report.html", results, "new").read_text("utf-8")
     shown = page.partition("<details>")[0]
     assert "Brightness error (grey levels)" in shown, "it is among those that are not folded"
 

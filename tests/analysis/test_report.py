@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pandas as pd
 
-from ablate.analysis import comparison_table, paired_table, seed_claims, write_report
+from ablate.analysis import DrawnFigure, Section, StudyResults, write_report
 
 
 class Resources(HTMLParser):
@@ -32,10 +32,14 @@ def picture(folder, name):
 
 
 def test_report_is_self_contained(study, tmp_path):
-    tables = study, comparison_table(study), paired_table(study, resamples=50), seed_claims(study)
-    figures = [(picture(tmp_path, "boxplot_psnr"), "Paired differences in PSNR")]
-    more = ["refraction: speeds agree"], {"commit": "abc123"}
-    path = write_report(tmp_path / "report.html", "quick <study>", *tables, figures, *more)
+    path = write_report(
+        tmp_path / "report.html",
+        StudyResults(per_image=study),
+        "quick <study>",
+        figures=[DrawnFigure(picture(tmp_path, "boxplot_psnr"), "Paired differences in PSNR")],
+        left_out=["refraction: speeds agree"],
+        provenance={"commit": "abc123"},
+    )
     page = path.read_text("utf-8")
     parser = Resources()
     parser.feed(page)
@@ -51,16 +55,17 @@ def test_report_is_self_contained(study, tmp_path):
 def test_report_folds_what_is_secondary(study, tmp_path):
     lesser = study.assign(metric=study["metric"].replace("psnr", "pchi2_fan"))
     both = pd.concat([study, lesser[lesser["metric"] == "pchi2_fan"]])
-    paired = paired_table(both, resamples=50)
-    shown = {"boxplots": "Box plots", "boxplot_psnr": "One box plot"}
-    figures = [(picture(tmp_path, name), text) for name, text in shown.items()]
-    tables = both, comparison_table(both), paired
-    path = write_report(tmp_path / "report.html", "folded", *tables, figures=figures)
+    figures = [
+        DrawnFigure(picture(tmp_path, "boxplots"), "Box plots"),
+        DrawnFigure(picture(tmp_path, "boxplot_psnr"), "One box plot", Section.folded),
+    ]
+    path = write_report(tmp_path / "report.html", StudyResults(per_image=both), "folded", figures=figures)
     page = re.sub(r"base64,[^\"]*", "", path.read_text("utf-8"))
     folded = re.findall(r"<details><summary>(.*?)</summary>(.*?)</details>", page, re.S)
     titles = [title for title, _ in folded]
     assert titles == ["All other metrics", "All other metrics", "More figures"]
     shown = re.sub(r"<details>.*?</details>", "", page, flags=re.S)
+    shown = re.sub(r"<h2>Does a variant differ.*?(?=<h2>)", "", shown, flags=re.S)  # it has all metrics
     for text in ("PSNR (dB)", "Box plots", "3 variants, 3 trained of each, 24 test frames of 8 probe sites."):
         assert text in shown
     for text in ("pχ² in fan", "One box plot"):

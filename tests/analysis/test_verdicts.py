@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from ablate import analysis
-from ablate.analysis import Answer, Component, Design, find_design
-from ablate.analysis.statistics.verdicts import VERDICT_COLUMNS, answer
+from ablate.analysis import Component, Design, Verdict, find_design
+from ablate.analysis.statistics.verdicts import VERDICT_COLUMNS, verdict
 from support.components import COMPONENTS, FULL, without
 
 NAMES = [component.name for component in COMPONENTS]
@@ -102,18 +102,18 @@ def test_intervals_are_those_of_least_squares_on_dummy_variables(cells: pd.DataF
 @pytest.mark.parametrize(
     ("improvement", "p", "p_band", "expected"),
     [
-        (5.0, 0.001, 0.9, Answer.earns),
-        (5.0, 0.06, 0.9, Answer.undecided),
-        (-5.0, 0.001, 0.001, Answer.does_not),  # harm
-        (0.3, 0.001, 0.001, Answer.does_not),  # there, but too small to matter
-        (0.3, 0.4, 0.001, Answer.does_not),
-        (0.3, 0.4, 0.2, Answer.undecided),
-        (-0.3, 0.4, 0.2, Answer.undecided),
-        (-5.0, 0.001, 0.2, Answer.undecided),  # cannot be: harm is further from the band than from zero
+        (5.0, 0.001, 0.9, Verdict.earns),
+        (5.0, 0.06, 0.9, Verdict.undecided),
+        (-5.0, 0.001, 0.001, Verdict.does_not),  # harm
+        (0.3, 0.001, 0.001, Verdict.does_not),  # there, but too small to matter
+        (0.3, 0.4, 0.001, Verdict.does_not),
+        (0.3, 0.4, 0.2, Verdict.undecided),
+        (-0.3, 0.4, 0.2, Verdict.undecided),
+        (-5.0, 0.001, 0.2, Verdict.undecided),  # cannot be: harm is further from the band than from zero
     ],
 )
-def test_the_rule(improvement: float, p: float, p_band: float, expected: Answer) -> None:
-    assert answer(improvement, p, p_band) is expected
+def test_the_rule(improvement: float, p: float, p_band: float, expected: Verdict) -> None:
+    assert verdict(improvement, p, p_band) is expected
 
 
 def test_verdicts_follow_the_rule_with_holms_correction_by_hand(cells: pd.DataFrame, design: Design) -> None:
@@ -276,7 +276,7 @@ def test_the_ends_of_an_improvement_tell_the_verdict(cells: pd.DataFrame, design
         assert np.select([below, above], ["does_not", "earns"], "undecided").tolist() == table["verdict"].tolist()
         assert (table["least"] <= -table["upper"]).all(), "wider than without the correction, towards 0"
         said += table["verdict"].to_list()
-    assert {said.count(word) > 20 for word in Answer} == {True}
+    assert {said.count(word) > 20 for word in Verdict} == {True}
 
 
 def test_the_ends_are_known_where_runs_do_not_vary(cells: pd.DataFrame, design: Design) -> None:

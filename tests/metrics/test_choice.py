@@ -51,7 +51,7 @@ def test_the_code_of_a_metric_is_that_of_the_moment_when_it_was_chosen(monkeypat
 
 
 def test_no_column_of_a_table_stands_for_two(monkeypatch, tmp_path):
-    code = "import ablate\n\nnear = ablate.metrics.Metric('near', 'PSNR', 'dB', of_image=lambda pair: 5.0)\n"
+    code = "import ablate\n\nnear = ablate.metrics.Metric('near', label='PSNR', unit='dB', of_image=lambda pair: 5.0)\n"
     (tmp_path / "of_columns.py").write_text(code + "def seed(pair):\n    return 0.0\n\n\ndata = seed\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ValueError, match=r"two of them have the title PSNR \(dB\)"):

@@ -7,11 +7,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from ablate.analysis import RESIMULATION
+from ablate.analysis import RESIMULATION, StudyResults
 from ablate.command.compose import jobs_of
 from ablate.study.comparable import ComparableRuns, comparable_runs
 from ablate.study.job import Job, trainings_of
-from ablate.study.reading import Answers, answers, scored_frames
+from ablate.study.reading import results_of, scored_frames, table_of_runs
 from ablate.study.run import Run, listed_runs
 from ablate.study.scores import ScoreKey, by_metric, write_score
 from support.finished_runs import PIXELS, finish, scores_of
@@ -26,13 +26,13 @@ def usable(jobs: Sequence[Job]) -> ComparableRuns:
     return comparable_runs(listed_runs(trainings_of(jobs)))
 
 
-def answered(jobs: Sequence[Job]) -> tuple[Answers, tuple[Run, ...]]:
+def answered(jobs: Sequence[Job]) -> tuple[StudyResults, tuple[Run, ...]]:
     """The answers of a study whose runs score 20 by default, and 1 more a changed key."""
     for number, job in enumerate(jobs):
         value = 20 + len(job.changed) + 0.01 * (number % 3) + 1e-6 * number
         finish(job, dict.fromkeys(("psnr", "mae", "shadow_contrast", "crps"), value))
-    runs = usable(jobs).all
-    return answers(runs), runs
+    runs = usable(jobs)
+    return results_of(runs), runs.all
 
 
 @pytest.mark.parametrize(
@@ -66,8 +66,8 @@ def test_an_order_of_labels_that_follows_the_seed_is_no_component(tmp_path: Path
 
 
 def test_a_swept_order_of_labels_has_its_seed_in_the_table_of_runs(tmp_path: Path) -> None:
-    judged, _ = answered(swept(tmp_path, "encoding=arbitrary", "encoding_seed=0,1"))
-    of_labels = judged.runs.set_index("variant")["encoding_seed"].to_dict()
+    _, runs = answered(swept(tmp_path, "encoding=arbitrary", "encoding_seed=0,1"))
+    of_labels = table_of_runs(runs).set_index("variant")["encoding_seed"].to_dict()
     assert sorted(of_labels.values()) == [0, 1]
 
 

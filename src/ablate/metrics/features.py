@@ -27,6 +27,9 @@ BAND_EDGES = (1 / 24, 1 / 12, 1 / 6, 1 / 3, 1 / np.sqrt(2.0))  # cycles/px, octa
 GREY_UNIT, GRADIENT_UNIT, CORRELATION_UNIT, LOG10_POWER_UNIT, FRACTION_UNIT = 48.0, 4.0, 0.4, 0.75, 0.2
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels^2, of rounding to 8 bits; keeps flat patches finite
 
+# Rows and columns of the neighbours of a pixel within 3 x 3, around the circle.
+_NEIGHBOURS = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
+
 # Pattern of each code, whose 8 bits tell which neighbours are at least as bright: the number of these bits where they
 # change at most twice around the circle, and 9 elsewhere.
 _BITS = np.arange(256)[:, None] >> np.arange(8) & 1
@@ -34,11 +37,15 @@ _CHANGES = np.count_nonzero(_BITS != np.roll(_BITS, 1, axis=1), axis=1)
 _PATTERN_OF_CODE = np.where(_CHANGES <= 2, _BITS.sum(axis=1), 9).astype(np.uint8)
 
 FEATURE_NAMES: tuple[str, ...] = (
-    *("mean", "sd", "skewness", "kurtosis"),
+    "mean",
+    "sd",
+    "skewness",
+    "kurtosis",
     *(f"quantile_{100 * q:.0f}" for q in QUANTILES),
     *(f"correlation_lateral_{lag}px" for lag in LAGS_PX),
     *(f"correlation_axial_{lag}px" for lag in LAGS_PX),
-    *("gradient_lateral", "gradient_axial"),
+    "gradient_lateral",
+    "gradient_axial",
     *(f"band_{direction}_{k}" for direction in ("lateral", "axial") for k in range(4)),
     *(f"lbp_{k}" for k in range(10)),
 )
@@ -56,7 +63,9 @@ InceptionFeatures = Callable[[np.ndarray], np.ndarray]
 
 def _moments(patches: np.ndarray) -> np.ndarray:
     """(n, 9): mean, sd, log skewness and kurtosis, and quantiles of patches (n, PATCH * PATCH) uint8."""
-    counts, levels, pixels = value_counts(patches, 256), np.arange(256.0), patches.shape[1]
+    counts = value_counts(patches, 256)
+    levels = np.arange(256.0)
+    pixels = patches.shape[1]
     mean = counts @ levels / pixels
     centred = levels - mean[:, None]
     squared = centred * centred
@@ -68,29 +77,31 @@ def _moments(patches: np.ndarray) -> np.ndarray:
     cubed = third / variance**1.5
     skewness = np.sign(cubed) * np.log1p(np.abs(cubed))
     kurtosis = np.log1p(fourth / variance**2)
-    columns = (mean / GREY_UNIT, np.sqrt(variance) / GREY_UNIT, skewness, kurtosis)
-    return np.column_stack((*columns, np.quantile(patches, QUANTILES, axis=1).T / GREY_UNIT))
+    quantiles = np.quantile(patches, QUANTILES, axis=1).T
+    return np.column_stack([mean / GREY_UNIT, np.sqrt(variance) / GREY_UNIT, skewness, kurtosis, quantiles / GREY_UNIT])
 
 
 def _spatial(x: np.ndarray) -> np.ndarray:
     """(n, 8): autocorrelation and mean absolute gradient, laterally and axially, of (n, PATCH, PATCH)."""
     centred = x - x.mean(axis=(1, 2), keepdims=True)
     variance = np.einsum("nij,nij->n", centred, centred) / PATCH**2 + QUANTISATION_VARIANCE
-    correlations = [
-        np.einsum("nij,nij->n", c[..., lag:], c[..., :-lag]) / (PATCH * (PATCH - lag)) / variance / CORRELATION_UNIT
-        for c in (centred, centred.swapaxes(1, 2))
-        for lag in LAGS_PX
-    ]
-    gradients = [np.abs(np.diff(x, axis=axis)).mean(axis=(1, 2)) / GRADIENT_UNIT for axis in (2, 1)]
-    return np.column_stack((*correlations, *gradients))
+    columns = []
+    for along_rows in (centred, centred.swapaxes(1, 2)):
+        for lag in LAGS_PX:
+            products = np.einsum("nij,nij->n", along_rows[..., lag:], along_rows[..., :-lag])
+            columns.append(products / (PATCH * (PATCH - lag)) / variance / CORRELATION_UNIT)
+    for axis in (2, 1):
+        columns.append(np.abs(np.diff(x, axis=axis)).mean(axis=(1, 2)) / GRADIENT_UNIT)
+    return np.column_stack(columns)
 
 
 def _band_powers(x: np.ndarray) -> np.ndarray:
     """(n, 8): log10 power in four octaves, nearer to the lateral or to the axial frequency axis."""
-    window = np.hanning(PATCH)
-    tapered = (x - x.mean(axis=(1, 2), keepdims=True)) * np.outer(window, window)
-    power = np.abs(rfft2(tapered)) ** 2 / np.square(np.outer(window, window)).sum()
-    axial, lateral = np.abs(np.fft.fftfreq(PATCH))[:, None], np.fft.rfftfreq(PATCH)[None, :]
+    window = np.outer(np.hanning(PATCH), np.hanning(PATCH))
+    tapered = (x - x.mean(axis=(1, 2), keepdims=True)) * window
+    power = np.abs(rfft2(tapered)) ** 2 / np.square(window).sum()
+    axial = np.abs(np.fft.fftfreq(PATCH))[:, None]
+    lateral = np.fft.rfftfreq(PATCH)[None, :]
     octave = np.digitize(np.hypot(axial, lateral), BAND_EDGES) - 1
     columns = []
     for side in (lateral >= axial, axial > lateral):
@@ -105,7 +116,7 @@ def _local_binary_patterns(image: np.ndarray) -> np.ndarray:
     padded = np.pad(image, 1, mode="edge")
     height, width = image.shape
     codes = np.zeros(image.shape, np.uint8)
-    for bit, (i, j) in enumerate(((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))):
+    for bit, (i, j) in enumerate(_NEIGHBOURS):
         codes |= (padded[i : i + height, j : j + width] >= image).view(np.uint8) << np.uint8(bit)
     return _PATTERN_OF_CODE[codes]
 
@@ -138,7 +149,8 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
         raise ValueError(f"no patch of {PATCH} x {PATCH} px lies wholly inside the mask; FD speckle needs a larger one")
     rows = [np.zeros((0, len(FEATURE_NAMES)))]
     for image in images:
-        flat, patterns = (as_patches(x, PATCH)[inside] for x in (image, _local_binary_patterns(image)))
+        flat = as_patches(image, PATCH)[inside]
+        patterns = as_patches(_local_binary_patterns(image), PATCH)[inside]
         square = flat.reshape(-1, PATCH, PATCH).astype(np.float64)
         histogram = value_counts(patterns, 10) / PATCH**2 / FRACTION_UNIT
         rows.append(np.hstack((_moments(flat), _spatial(square), _band_powers(square), histogram)))
@@ -177,8 +189,8 @@ def inception_file(where: str) -> Path:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if digest != INCEPTION_SHA256:
-        found, right = (f"{one[:12]}..." for one in (digest, INCEPTION_SHA256))
-        raise ValueError(f"{path} has SHA-256 {found}, expected {right}: not the network of FID")
+        expected = INCEPTION_SHA256[:12]
+        raise ValueError(f"{path} has SHA-256 {digest[:12]}..., expected {expected}...: not the network of FID")
     return path
 
 
@@ -188,18 +200,31 @@ def _download(path: Path) -> None:
     try:
         download_url_to_file(INCEPTION_URL, str(path), INCEPTION_SHA256)
     except OSError as error:
-        why = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
-        raise ConnectionError(why) from error
+        message = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
+        raise ConnectionError(message) from error
     except RuntimeError as error:
         raise ValueError(f"{INCEPTION_URL} has another SHA-256: {error}") from error
 
 
 def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> InceptionFeatures:
-    """The network as a function of images, (n, H, W) uint8 with at least 512 px a side -> (4 n, 2048) float64.
+    """The network as a function of images.
 
-    These are the pool features of the corner crops, of 299 px, of each image's 512 px centre, the grey channel repeated
-    three times; `batch` of them are computed at a time. The file, from `inception_file`, is TorchScript, called as
-    `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
+    Features are those of the pool layer, of the corner crops, of 299 px, of each image's 512 px centre, the grey
+    channel repeated three times.
+
+    Parameters
+    ----------
+    path : Path
+        From `inception_file`: TorchScript, called as `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
+    device : str
+        Where it computes, as torch names devices.
+    batch : int
+        Crops at a time.
+
+    Returns
+    -------
+    callable
+        Of (n, H, W) uint8 with at least 512 px a side; (4 n, 2048) float64, image by image.
     """
     import torch  # only here: every other metric does without it
 
@@ -211,8 +236,9 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
         if images.dtype != np.uint8:
             raise ValueError(f"images must be uint8, got {images.dtype}")
         top, left = ((size - CENTRE) // 2 for size in images.shape[1:])
-        starts = (0, CENTRE - CROP)
-        crops = [images[:, top + i : top + i + CROP, left + j : left + j + CROP] for i in starts for j in starts]
+        rows = [slice(first, first + CROP) for first in (top, top + CENTRE - CROP)]
+        columns = [slice(first, first + CROP) for first in (left, left + CENTRE - CROP)]
+        crops = [images[:, row, column] for row in rows for column in columns]
         grey = torch.from_numpy(np.stack(crops, axis=1).reshape(-1, 1, CROP, CROP))
         with torch.inference_mode():
             parts = [module(c.to(device).expand(-1, 3, -1, -1), return_features=True) for c in grey.split(batch)]
@@ -221,18 +247,46 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
     return features
 
 
-_FLOOR = ("", Direction.lower, Resimulation.floor, Group.set)
 FD_SPECKLE = Metric(
-    *("fd_speckle", "FD speckle", *_FLOOR, 2, Shown.everywhere),
-    of_set=SetDistance(FeatureKind.speckle, frechet_distance),
+    name="fd_speckle",
+    label="FD speckle",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.set,
+    decimals=2,
+    shown=Shown.everywhere,
+    of_set=SetDistance(features=FeatureKind.speckle, distance=frechet_distance),
     place=40,
 )
 KD_SPECKLE = Metric(
-    *("kd_speckle", "KD speckle", *_FLOOR, 3), of_set=SetDistance(FeatureKind.speckle, kernel_distance), place=41
+    name="kd_speckle",
+    label="KD speckle",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.set,
+    decimals=3,
+    of_set=SetDistance(features=FeatureKind.speckle, distance=kernel_distance),
+    place=41,
 )
+# Of 2048 features each resample takes seconds.
 FID = Metric(
-    *("fid", "FID", *_FLOOR, 2, Shown.table | Shown.report),
-    of_set=SetDistance(FeatureKind.inception, frechet_distance, resamples=100),  # of 2048 features each takes seconds
+    name="fid",
+    label="FID",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.set,
+    decimals=2,
+    shown=Shown.table | Shown.report,
+    of_set=SetDistance(features=FeatureKind.inception, distance=frechet_distance, resamples=100),
     place=42,
 )
-KID = Metric(*("kid", "KID", *_FLOOR, 3), of_set=SetDistance(FeatureKind.inception, kernel_distance), place=43)
+KID = Metric(
+    name="kid",
+    label="KID",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.set,
+    decimals=3,
+    of_set=SetDistance(features=FeatureKind.inception, distance=kernel_distance),
+    place=43,
+)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ablate.metrics.metric import Direction, Group, ImageMetric, Metric, Resimulation, Shown
+from ablate.metrics.metric import Direction, Group, ImageMetric, Metric, Pair, Resimulation, Shown
 from ablate.metrics.patches import PEAK, check_pair, patches_inside, rms
 
 
@@ -47,30 +47,103 @@ def mae(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def _whole(measure: Callable[..., float]) -> ImageMetric:
+    """Of all pixels of a frame."""
     return lambda pair: measure(pair.prediction, pair.target)
 
 
 def _in_fan(measure: Callable[..., float]) -> ImageMetric:
+    """Of the pixels of the fan."""
     return lambda pair: measure(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None
 
 
-_PSNR = ("dB", Direction.higher, Resimulation.level, Group.pixel, 2)
-_MAE = ("grey levels", Direction.lower, Resimulation.level, Group.pixel, 2)
-WHOLE_PSNR = Metric("psnr", "PSNR", *_PSNR, Shown.everywhere, _whole(psnr), place=10)
-FAN_PSNR = Metric("psnr_fan", "PSNR in fan", *_PSNR, of_image=_in_fan(psnr), place=11)
-WHOLE_MAE = Metric("mae", "MAE", *_MAE, Shown.everywhere, _whole(mae), place=20)
-FAN_MAE = Metric("mae_fan", "MAE in fan", *_MAE, of_image=_in_fan(mae), place=21)
-_CHI2 = ("", Direction.lower, Resimulation.floor)
-PCHI2 = Metric("pchi2", "pχ²", *_CHI2, Group.patch, 3, Shown.everywhere, lambda pair: rms(pair.chi2_map), place=30)
+def _pchi2(pair: Pair) -> float | None:
+    return rms(pair.chi2_map)
+
+
+def _pchi2_fan(pair: Pair) -> float | None:
+    return rms(pair.chi2_map, patches_inside(pair.mask))
+
+
+def _pchi2_tissue(pair: Pair) -> float | None:
+    if pair.tissue_mask is None:
+        return None
+    return rms(pair.chi2_map, patches_inside(pair.tissue_mask & pair.mask))
+
+
+WHOLE_PSNR = Metric(
+    name="psnr",
+    label="PSNR",
+    unit="dB",
+    better=Direction.higher,
+    resimulation=Resimulation.level,
+    group=Group.pixel,
+    decimals=2,
+    shown=Shown.everywhere,
+    of_image=_whole(psnr),
+    place=10,
+)
+FAN_PSNR = Metric(
+    name="psnr_fan",
+    label="PSNR in fan",
+    unit="dB",
+    better=Direction.higher,
+    resimulation=Resimulation.level,
+    group=Group.pixel,
+    decimals=2,
+    of_image=_in_fan(psnr),
+    place=11,
+)
+WHOLE_MAE = Metric(
+    name="mae",
+    label="MAE",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.level,
+    group=Group.pixel,
+    decimals=2,
+    shown=Shown.everywhere,
+    of_image=_whole(mae),
+    place=20,
+)
+FAN_MAE = Metric(
+    name="mae_fan",
+    label="MAE in fan",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.level,
+    group=Group.pixel,
+    decimals=2,
+    of_image=_in_fan(mae),
+    place=21,
+)
+PCHI2 = Metric(
+    name="pchi2",
+    label="pχ²",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.patch,
+    decimals=3,
+    shown=Shown.everywhere,
+    of_image=_pchi2,
+    place=30,
+)
 FAN_PCHI2 = Metric(
-    *("pchi2_fan", "pχ² in fan", *_CHI2, Group.patch, 3),
-    of_image=lambda pair: rms(pair.chi2_map, patches_inside(pair.mask)),
+    name="pchi2_fan",
+    label="pχ² in fan",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.patch,
+    decimals=3,
+    of_image=_pchi2_fan,
     place=31,
 )
 TISSUE_PCHI2 = Metric(
-    *("pchi2_tissue", "pχ² in tissue", *_CHI2, Group.mechanism, 3),
-    of_image=lambda pair: (
-        None if pair.tissue_mask is None else rms(pair.chi2_map, patches_inside(pair.tissue_mask & pair.mask))
-    ),
+    name="pchi2_tissue",
+    label="pχ² in tissue",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.mechanism,
+    decimals=3,
+    of_image=_pchi2_tissue,
     place=32,
 )

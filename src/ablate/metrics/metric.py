@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import Enum, Flag, StrEnum, auto
 from functools import cached_property
 
@@ -19,8 +19,10 @@ SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
 FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles
 FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
-_WORDS = {"b": "bool", "u": "uint8", "iu": "integers", "fiu": "numbers"}  # for kinds of NumPy's types
-_KINDS = {**dict.fromkeys(("mask", "tissue_mask", "bone_mask"), "b"), "draws": "u", "segmentation": "iu"}  # of a pair
+# Kinds of NumPy's types that an array of a pair may have, and how a message calls them.
+_NUMBERS = "fiu"
+_KINDS = {"mask": "b", "tissue_mask": "b", "bone_mask": "b", "draws": "u", "segmentation": "iu"}
+_KIND_NAMES = {"b": "bool", "u": "uint8", "iu": "integers", _NUMBERS: "numbers"}
 
 
 class Direction(Enum):
@@ -50,10 +52,6 @@ class Group(StrEnum):
     simulation = "simulation"
     cost = "cost"  # of a network, not of its images: no claim is made about it
     own = "own"  # of a user
-
-
-#: How an error of what a component is for is judged: it is least where it is right.
-MECHANISM = (Direction.lower, Resimulation.floor, Group.mechanism)
 
 
 class Shown(Flag):
@@ -117,17 +115,9 @@ class Pair:
 
     def __post_init__(self) -> None:
         check_pair(self.prediction, self.target)
-        shape = self.target.shape
         for name, array in vars(self).items():
             if isinstance(array, np.ndarray):
-                if name == "draws" and (array.shape[1:] != shape or len(array) < 2):
-                    raise ValueError(f"draws must be (k >= 2, {shape[0]}, {shape[1]}), got {array.shape}")
-                if name != "draws" and array.shape != shape:
-                    raise ValueError(f"{name} must be {shape}, got {array.shape}")
-                if array.dtype.kind not in (kinds := _KINDS.get(name, "fiu")):
-                    raise ValueError(f"{name} must be {_WORDS[kinds]}, got {array.dtype}")
-                if not np.isfinite(array).all():
-                    raise ValueError(f"{name} must be finite")
+                _check_array(name, array, self.target.shape)
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)
@@ -142,30 +132,67 @@ class Pair:
         return chi2
 
 
+def _check_array(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless an array of a pair fits its images, of `shape`, and has the type that its name asks."""
+    if name == "draws" and (array.shape[1:] != shape or len(array) < 2):
+        raise ValueError(f"draws must be (k >= 2, {shape[0]}, {shape[1]}), got {array.shape}")
+    if name != "draws" and array.shape != shape:
+        raise ValueError(f"{name} must be {shape}, got {array.shape}")
+    kinds = _KINDS.get(name, _NUMBERS)
+    if array.dtype.kind not in kinds:
+        raise ValueError(f"{name} must be {_KIND_NAMES[kinds]}, got {array.dtype}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite")
+
+
 ImageMetric = Callable[[Pair], float | None]
 
 
 @dataclass(frozen=True)
 class SetDistance:
-    """A distance between two sets of features, and how often sites are resampled for its interval."""
+    """A distance between two sets of features, each (n, d) float, as a metric."""
 
     features: FeatureKind
     distance: Callable[[np.ndarray, np.ndarray], float]
-    resamples: int = 200
+    resamples: int = 200  # of probe sites, for its interval
 
 
 @dataclass(frozen=True)
 class Metric:
     """One metric. Everything that prints, draws, tests or logs it reads this entry.
 
-    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there. It is
-    logged as `name`, with `test/` before it, and printed as `label`, or else as its name, with `decimals`. `of_image`
-    takes a `Pair` and gives a value, or None where the image offers nothing to measure. `of_draws` does so with one
-    that has draws; frames are rendered with more than one draw of noise only for such a metric. Tables and figures are
-    in rising order of `place`.
+    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there.
+
+    Attributes
+    ----------
+    name : str
+        It is logged by this name, with `test/` before it.
+    label : str
+        How it is printed; as its name when left out.
+    unit : str
+        Printed after the label.
+    better : Direction
+        Which values are better.
+    resimulation : Resimulation
+        What the value of re-simulation tells.
+    group : Group
+        The kind of thing that it measures.
+    decimals : int
+        With which it is printed.
+    shown : Shown
+        Where it is shown beside `table.csv`, the statistics and its own figure.
+    of_image : callable, optional
+        Takes a `Pair` and gives a value, or None where the image offers nothing to measure.
+    of_set : SetDistance, optional
+        A distance between all rendered images and all targets.
+    of_draws : callable, optional
+        As `of_image`, of a pair that has draws. Frames are rendered with more than one draw of noise only for it.
+    place : float
+        Tables and figures are in rising order of it.
     """
 
     name: str
+    _: KW_ONLY
     label: str = ""
     unit: str = ""
     better: Direction = Direction.none
@@ -190,7 +217,7 @@ class Metric:
     @property
     def computed(self) -> bool:
         """Whether an evaluation computes it from images."""
-        return any((self.of_image, self.of_set, self.of_draws))
+        return any([self.of_image, self.of_set, self.of_draws])
 
     def uses(self, features: FeatureKind) -> bool:
         """Whether it is a distance of these features."""
@@ -204,14 +231,35 @@ class Metric:
 
 def is_bound(name: str) -> bool:
     """Whether a scalar is an end of the interval of another."""
-    return name.endswith(tuple(f"_{side}" for side in BOUNDS))
+    return any(name.endswith(f"_{side}") for side in BOUNDS)
 
 
 # Metrics that no pair of images gives.
-_COST = (Resimulation.none, Group.cost)
 ENVELOPE_RMS = Metric(
-    *("envelope_rms", "Envelope error", "relative RMS", Direction.lower, Resimulation.level, Group.simulation, 4),
+    name="envelope_rms",
+    label="Envelope error",
+    unit="relative RMS",
+    better=Direction.lower,
+    resimulation=Resimulation.level,
+    group=Group.simulation,
+    decimals=4,
     place=120,
 )
-TIME = Metric(FRAME_TIME, "Time", "ms/frame", Direction.lower, *_COST, 1, Shown.screen | Shown.report, place=130)
-PARAMETERS = Metric("parameters", "Parameters", "", Direction.none, *_COST, 0, Shown.table | Shown.report, place=140)
+TIME = Metric(
+    name=FRAME_TIME,
+    label="Time",
+    unit="ms/frame",
+    better=Direction.lower,
+    group=Group.cost,
+    decimals=1,
+    shown=Shown.screen | Shown.report,
+    place=130,
+)
+PARAMETERS = Metric(
+    name="parameters",
+    label="Parameters",
+    group=Group.cost,
+    decimals=0,
+    shown=Shown.table | Shown.report,
+    place=140,
+)

@@ -20,7 +20,8 @@ def check_pair(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> 
 
 def as_patches(image: np.ndarray, patch: int) -> np.ndarray:
     """Cut an image (H, W) into squares of `patch` px, (H // patch, W // patch, patch * patch); the rest is cropped."""
-    rows, columns = image.shape[0] // patch, image.shape[1] // patch
+    rows = image.shape[0] // patch
+    columns = image.shape[1] // patch
     squares = image[: rows * patch, : columns * patch].reshape(rows, patch, columns, patch)
     return squares.swapaxes(1, 2).reshape(rows, columns, patch * patch)
 
@@ -78,7 +79,8 @@ def patch_chi2(a: np.ndarray, b: np.ndarray, patch: int = 20, bins: int = 50) ->
         raise ValueError(f"patch must be at least 1 px, got {patch}")
     if not 1 <= bins <= 256:
         raise ValueError(f"bins must be 1 to 256, got {bins}")
-    counts_a, counts_b = patch_counts(a, patch, bins), patch_counts(b, patch, bins)
+    counts_a = patch_counts(a, patch, bins)
+    counts_b = patch_counts(b, patch, bins)
     difference = (counts_a - counts_b).astype(np.float64)
     total = counts_a + counts_b
     # Where total is 0 so is the difference: dividing by 1 gives the 0 wanted.

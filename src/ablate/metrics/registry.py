@@ -17,10 +17,18 @@ from ablate.user_code import load, source_digest
 #: made anew.
 METRICS_VERSION = 2
 
-_MODULES = [m.name for m in walk_packages(package.__path__, f"{package.__name__}.") if m.name != __name__]
-_DECLARED = {m for name in _MODULES for m in vars(import_module(name)).values() if isinstance(m, Metric)}
+
+def _declared() -> dict[str, Metric]:
+    """The entries of all modules below `ablate.metrics` but this one."""
+    modules = [module.name for module in walk_packages(package.__path__, f"{package.__name__}.")]
+    modules.remove(__name__)
+    values = [value for name in modules for value in vars(import_module(name)).values()]
+    entries = {value for value in values if isinstance(value, Metric)}
+    return {metric.name: metric for metric in sorted(entries, key=lambda metric: (metric.place, metric.name))}
+
+
 #: By name, in the order of every table and figure.
-METRICS: dict[str, Metric] = {metric.name: metric for metric in sorted(_DECLARED, key=lambda m: (m.place, m.name))}
+METRICS = _declared()
 METRIC_SETS = {
     "all": tuple(name for name, metric in METRICS.items() if metric.computed),
     "paper": tuple(name for name, metric in METRICS.items() if metric.computed and metric.shown & Shown.table),
@@ -50,7 +58,9 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
     values = {}
     for metric in metrics:
         try:
-            measure = metric.of_image if pair.draws is None else metric.of_draws or metric.of_image
+            measure = metric.of_image
+            if pair.draws is not None and metric.of_draws is not None:
+                measure = metric.of_draws
             value = None if measure is None else measure(pair)
             if value is not None:
                 values[metric.name] = float(value)
@@ -77,7 +87,8 @@ def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
     if not isinstance(asked, Iterable):
         raise ValueError(f"metrics={asked}: {_allowed()}")
     chosen: dict[str, Metric] = {}
-    for entry in (asked,) if isinstance(asked, str) else asked:
+    entries = [asked] if isinstance(asked, str) else asked
+    for entry in entries:
         if not isinstance(entry, str):
             raise ValueError(f"metrics={entry}: is no name; {_allowed()}")
         for name in METRIC_SETS.get(entry, (entry,)):
@@ -87,7 +98,8 @@ def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
     if not chosen:
         raise ValueError(f"metrics: none is named; {_allowed()}")
     titles = Counter(metric.title for metric in {**METRICS, **chosen}.values())
-    if twice := [title for title, count in titles.items() if count > 1]:
+    twice = [title for title, count in titles.items() if count > 1]
+    if twice:
         raise ValueError(f"metrics: two of them have the title {twice[0]}; a column of a table has one")
     return chosen
 
@@ -102,7 +114,8 @@ def _imported(path: str) -> Metric:
     if "." not in path:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
-        named, _ = load(path), source_digest(path)  # read now: a file that is edited later is not what runs
+        named = load(path)
+        source_digest(path)  # read now: a file that is edited later is not what runs
     except ValueError as error:
         raise ValueError(f"metrics={path}: {error}; {_allowed()}") from error
     metric = named if isinstance(named, Metric) else Metric(path.rpartition(".")[2], of_image=named)

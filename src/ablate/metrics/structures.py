@@ -5,7 +5,7 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects, gaussian_filter, label, map_coordinates
 
-from ablate.metrics.metric import MECHANISM, Direction, Group, Metric, Pair, Resimulation, Shown
+from ablate.metrics.metric import Direction, Group, Metric, Pair, Resimulation, Shown
 
 SHADOW, ENHANCEMENT = 0.6, 1.4  # of the median attenuation at a depth
 MEDIAN_BIN_MM = 1.0  # of depth, in which that median is taken
@@ -22,9 +22,23 @@ _smooth = partial(gaussian_filter, mode="constant", truncate=3.0)  # of an image
 def relative_attenuation(
     attenuation: np.ndarray, mask: np.ndarray, depth_mm: np.ndarray, bin_mm: float = MEDIAN_BIN_MM
 ) -> np.ndarray:
-    """Attenuation map over its median in the fan at the same depth, (H, W) float32: under 1 in shadow.
+    """Attenuation map over its median in the fan at the same depth.
 
-    It is NaN outside the fan and where the median is 0. The arrays are those of `Pair`.
+    Parameters
+    ----------
+    attenuation : (H, W) float in [0, 1]
+        The integral attenuation map.
+    mask : (H, W) bool
+        The fan.
+    depth_mm : (H, W) float, mm
+        Distance from the probe's face along the scanline.
+    bin_mm : float, mm
+        Depth in which a median is taken.
+
+    Returns
+    -------
+    (H, W) float32
+        Under 1 in shadow; NaN outside the fan and where the median is 0.
     """
     depth_bin = np.clip(depth_mm[mask] / bin_mm, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
@@ -57,19 +71,27 @@ def shadow_contrast(pair: Pair) -> float | None:
     bins = depth_bin * 256 + pair.segmentation[compared]
     in_shadow = relative[compared] < SHADOW
     error = np.subtract(pair.prediction, pair.target, dtype=np.int16)[compared]
-    sums, counts = [], []
-    for chosen in (in_shadow, ~in_shadow):
-        sums.append(np.bincount(bins[chosen], error[chosen], minlength=256 * 256))
-        counts.append(np.bincount(bins[chosen], minlength=256 * 256).astype(np.float64))
-    both = (counts[0] > 0) & (counts[1] > 0)
-    (shadow, enhanced), (m, n) = ([values[both] for values in pair] for pair in (sums, counts))
+    m = np.bincount(bins[in_shadow], minlength=256 * 256).astype(np.float64)
+    n = np.bincount(bins[~in_shadow], minlength=256 * 256).astype(np.float64)
+    shadow = np.bincount(bins[in_shadow], error[in_shadow], minlength=256 * 256)
+    enhanced = np.bincount(bins[~in_shadow], error[~in_shadow], minlength=256 * 256)
+    both = (m > 0) & (n > 0)
+    m, n = m[both], n[both]
     if min(m.sum(), n.sum()) < FEWEST_PIXELS:
         return None
-    return float(abs(np.average(shadow / m - enhanced / n, weights=m * n / (m + n))))
+    difference = shadow[both] / m - enhanced[both] / n
+    return float(abs(np.average(difference, weights=m * n / (m + n))))
 
 
 SHADOW_CONTRAST = Metric(
-    *("shadow_contrast", "Shadow contrast error", "grey levels", *MECHANISM, 1, Shown.drawn | Shown.report),
+    name="shadow_contrast",
+    label="Shadow contrast error",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.mechanism,
+    decimals=1,
+    shown=Shown.drawn | Shown.report,
     of_image=shadow_contrast,
     place=50,
 )
@@ -84,21 +106,30 @@ def mae_smooth(pair: Pair) -> float | None:
     mask = pair.mask
     if not mask.any():
         return None
-    sigma = tuple(SMOOTH_SIGMA_MM / size for size in pair.pixel_mm) if pair.pixel_mm else (SMOOTH_SIGMA_PX,) * 2
+    sigma = (SMOOTH_SIGMA_PX, SMOOTH_SIGMA_PX)
+    if pair.pixel_mm:
+        sigma = (SMOOTH_SIGMA_MM / pair.pixel_mm[0], SMOOTH_SIGMA_MM / pair.pixel_mm[1])
     difference = np.subtract(pair.prediction, pair.target, dtype=np.float32) * mask
     smooth = _smooth(difference, sigma) / _smoothed_mask(mask.tobytes(), mask.shape, sigma)
     return float(np.abs(smooth[mask]).mean(dtype=np.float64))
 
 
 @lru_cache(maxsize=4)
-def _smoothed_mask(mask_bytes: bytes, shape: tuple[int, int], sigma_px: tuple[float, ...]) -> np.ndarray:
+def _smoothed_mask(mask_bytes: bytes, shape: tuple[int, int], sigma_px: tuple[float, float]) -> np.ndarray:
     """The mask's own Gaussian average; it is kept because it is the same for all frames of a probe."""
     mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(shape)
     return np.maximum(_smooth(mask.astype(np.float32), sigma_px), np.finfo(np.float32).tiny)
 
 
 MAE_SMOOTH = Metric(
-    *("mae_smooth", "Smooth MAE", "grey levels", Direction.lower, Resimulation.level, Group.mechanism, 2, Shown.drawn),
+    name="mae_smooth",
+    label="Smooth MAE",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.level,
+    group=Group.mechanism,
+    decimals=2,
+    shown=Shown.drawn,
     of_image=mae_smooth,
     place=60,
 )
@@ -133,16 +164,19 @@ def thin_contrast(pair: Pair) -> float | None:
     """
     if pair.bone_mask is None or pair.depth_mm is None or pair.pixel_mm is None:
         return None
-    depth_mm, pixel_mm, bone = pair.depth_mm, pair.pixel_mm, pair.bone_mask & pair.mask
+    depth_mm = pair.depth_mm
+    pixel_mm = pair.pixel_mm
+    bone = pair.bone_mask & pair.mask
     if min(bone.shape) < 2 or not bone.any():
         return None
     parts, _ = label(surface_band(bone, depth_mm, pixel_mm), np.ones((3, 3)))
     error = np.subtract(pair.prediction, pair.target, dtype=np.int16)
     fewest = FEWEST_MM2 / (pixel_mm[0] * pixel_mm[1])
     reach = [int(np.ceil(RING_MM[1] / size)) for size in pixel_mm]
-    errors, weights = [], []
-    for number, (rows, columns) in enumerate(find_objects(parts), start=1):
-        window = tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in zip((rows, columns), reach, strict=True))
+    errors = []
+    weights = []
+    for number, extent in enumerate(find_objects(parts), start=1):
+        window = tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in zip(extent, reach, strict=True))
         band = parts[window] == number
         away = distance_transform_edt(~band, pixel_mm)
         around = (away >= RING_MM[0]) & (away <= RING_MM[1]) & pair.mask[window] & ~bone[window]
@@ -154,5 +188,14 @@ def thin_contrast(pair: Pair) -> float | None:
 
 
 THIN_CONTRAST = Metric(
-    "thin_contrast", "Thin contrast error", "grey levels", *MECHANISM, 1, Shown.drawn, of_image=thin_contrast, place=70
+    name="thin_contrast",
+    label="Thin contrast error",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.mechanism,
+    decimals=1,
+    shown=Shown.drawn,
+    of_image=thin_contrast,
+    place=70,
 )

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.fft import rfft2
 from scipy.ndimage import convolve1d
 
-from ablate.metrics.metric import MECHANISM, Direction, Group, Metric, Pair, Resimulation, Shown
+from ablate.metrics.metric import Direction, Group, Metric, Pair, Resimulation, Shown
 from ablate.metrics.patches import as_patches, patches_inside
 
 OCTAVES = 4
@@ -25,14 +25,16 @@ def octave_variances(image: np.ndarray, mask: np.ndarray) -> list[float]:
     within the mask. The next band is that of every second pixel of the average (Burt and Adelson 1983). There are at
     most four bands, of periods from 2 to some 30 px; bands with fewer than 100 pixels are left out.
     """
-    values, inside = image.astype(np.float32), mask
+    values = image.astype(np.float32)
+    inside = mask
     variances: list[float] = []
     for _ in range(OCTAVES):
         if np.count_nonzero(inside) < FEWEST_PIXELS:
             break
         average = _blurred(values * inside) / np.maximum(_blurred(inside.astype(np.float32)), np.float32(1e-6))
         variances.append(float((values - average)[inside].var(dtype=np.float64)))
-        values, inside = average[::2, ::2], inside[::2, ::2]
+        values = average[::2, ::2]
+        inside = inside[::2, ::2]
     return variances
 
 
@@ -49,13 +51,24 @@ def octave_sd(pair: Pair) -> float | None:
     if pair.tissue_mask is None:
         return None
     tissue = pair.tissue_mask & pair.mask
-    rendered, right = (np.array(octave_variances(image, tissue)) for image in (pair.prediction, pair.target))
+    rendered = np.array(octave_variances(pair.prediction, tissue))
+    right = np.array(octave_variances(pair.target, tissue))
     if not len(right):
         return None
     return float(np.abs(10.0 * np.log10((rendered + ROUNDING) / (right + ROUNDING))).mean())
 
 
-OCTAVE_SD = Metric("octave_sd", "Octave error", "dB", *MECHANISM, 2, of_image=octave_sd, place=90)
+OCTAVE_SD = Metric(
+    name="octave_sd",
+    label="Octave error",
+    unit="dB",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.mechanism,
+    decimals=2,
+    of_image=octave_sd,
+    place=90,
+)
 
 
 def _mean_spectrum(image: np.ndarray, blocks: np.ndarray) -> np.ndarray:
@@ -79,7 +92,8 @@ def line_power(image: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.nd
     power = _mean_spectrum(image, blocks)
     offsets = np.arange(-RING_PX, RING_PX + 1)
     near = np.maximum(np.abs(offsets)[:, None], np.abs(offsets)[None, :])
-    on, around = [], []
+    on = []
+    around = []
     for row, column in LINES:
         here = power[np.ix_((row + offsets) % BLOCK, (column + offsets) % BLOCK)]
         on.append(here[near <= 1].mean())
@@ -100,13 +114,24 @@ def nyquist_excess(pair: Pair) -> float | None:
     blocks = patches_inside(pair.mask, BLOCK)
     if not blocks.any():
         return None
-    rendered, right = (line_power(image, blocks) for image in (pair.prediction, pair.target))
-    added = [np.mean(np.maximum(on - around, 0.0) / right[1]) for on, around in (rendered, right)]
-    return float(abs(10.0 * np.log10((1.0 + added[0]) / (1.0 + added[1]))))
+    on_rendered, around_rendered = line_power(pair.prediction, blocks)
+    on_target, around_target = line_power(pair.target, blocks)
+    added_rendered = np.mean(np.maximum(on_rendered - around_rendered, 0.0) / around_target)
+    added_target = np.mean(np.maximum(on_target - around_target, 0.0) / around_target)
+    return float(abs(10.0 * np.log10((1.0 + added_rendered) / (1.0 + added_target))))
 
 
 NYQUIST_EXCESS = Metric(
-    "nyquist_excess", "Nyquist excess", "dB", *MECHANISM, 2, Shown.drawn, of_image=nyquist_excess, place=80
+    name="nyquist_excess",
+    label="Nyquist excess",
+    unit="dB",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.mechanism,
+    decimals=2,
+    shown=Shown.drawn,
+    of_image=nyquist_excess,
+    place=80,
 )
 
 
@@ -118,7 +143,8 @@ def noise_sd(pair: Pair) -> float | None:
     """
     if pair.draws is None or pair.tissue_mask is None or not pair.tissue_mask.any():
         return None
-    return float(np.sqrt(pair.draws[:, pair.tissue_mask].astype(np.float64).var(axis=0, ddof=1).mean()))
+    values = pair.draws[:, pair.tissue_mask].astype(np.float64)
+    return float(np.sqrt(values.var(axis=0, ddof=1).mean()))
 
 
 def crps(pair: Pair) -> float | None:
@@ -140,9 +166,26 @@ def crps(pair: Pair) -> float | None:
     return float(np.abs(values[0] - pair.target[pair.tissue_mask]).mean() - between / 2)
 
 
-CRPS = Metric("crps", "CRPS", "grey levels", *MECHANISM, 2, Shown.drawn, of_draws=crps, place=100)
+CRPS = Metric(
+    name="crps",
+    label="CRPS",
+    unit="grey levels",
+    better=Direction.lower,
+    resimulation=Resimulation.floor,
+    group=Group.mechanism,
+    decimals=2,
+    shown=Shown.drawn,
+    of_draws=crps,
+    place=100,
+)
 NOISE_SD = Metric(
-    *("noise_sd", "Noise sd", "grey levels", Direction.none, Resimulation.level, Group.mechanism, 1, Shown.drawn),
+    name="noise_sd",
+    label="Noise sd",
+    unit="grey levels",
+    resimulation=Resimulation.level,
+    group=Group.mechanism,
+    decimals=1,
+    shown=Shown.drawn,
     of_draws=noise_sd,
     place=110,
 )

@@ -10,7 +10,7 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis
-from ablate.analysis import RESIMULATION, FramePictures, listed
+from ablate.analysis import StudyResults, draw_figures, listed
 from ablate.analysis.tables import head
 from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
@@ -18,10 +18,10 @@ from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest_of_files, known_json, write_json
 from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of
-from ablate.study.frame_times import TIMES, time_networks, timed_on, untimed
+from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
 from ablate.study.provenance import package_digest
-from ablate.study.reading import pictures, provenance, runtime_points
+from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON, Run, RunList, write_list
 from ablate.study.training import earlier_layout
 
@@ -122,82 +122,48 @@ def write_comparison(study: Study, title: str) -> list[str]:
 
     Returns what a reader must know, a sentence each.
     """
-    folder, usable, reference, judged = study.folder / COMPARISON, study.usable, study.reference, study.answers
+    folder, usable = study.folder / COMPARISON, study.usable
     partial = folder.with_name(f"{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    claims = analysis.seed_claims(study.per_image, study.scalars, reference)
-    try:
-        frames = pictures(usable.runs, reference)
-        missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
-    except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
-        frames, missing = [], [f"There are no pictures: {' '.join(str(error).split())}."]
-    figures = draw_figures(study, frames, partial)
-    notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*study.table["metric"]} - {FRAME_TIME})]
+    results, missing = _with_pictures(study)
+    notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*results.table["metric"]} - {FRAME_TIME})]
     analysis.write_report(
         partial / "report.html",
+        results,
         title,
-        study.per_image,
-        study.table,
-        study.paired,
-        claims=claims,
-        verdicts=judged.verdicts,
-        components=judged.components,
-        figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
+        figures=draw_figures(results, partial),
+        notes=notes,
         left_out=_left_out(usable.all),
         provenance=provenance(usable.all),
-        reference=reference,
-        notes=notes,
-        blocks=study.blocks,
     )
-    analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
-    of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
-    (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
+    analysis.wide_table(results.table).to_csv(partial / "table.csv", index=False)
+    of_the_paper = results.table[results.table["metric"].isin(shown_in(Shown.table))]
+    (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, results.reference), "utf-8")
+    tables = {
+        "paired": results.paired,
+        "claims": results.claims,
+        "verdicts": results.verdicts,
+        "runs": study.runs,
+        "effects": results.effects,
+    }
+    for name, table in tables.items():
+        if name != "effects" or len(table):
+            table.to_csv(partial / f"{name}.csv", index=False)
     write_list(partial, study.listed)
-    tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
-    more = {"effects": judged.effects} if len(judged.effects) else {}
-    for name, content in (tables | more).items():
-        content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
-    return [*notes, *analysis.cautions(study.per_image, reference, study.blocks)]
+    return [*notes, *analysis.cautions(results.per_image, results.reference, results.blocks)]
 
 
-def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) -> list[tuple[Path, str]]:
-    """Draw every figure for which there are numbers or pictures; returns PNGs and PDFs, each with its caption."""
-    reference, per_image, answers = study.reference, study.per_image, study.answers
-    design, means, components = answers.design, answers.means, answers.components
-    resimulated = RESIMULATION in set(per_image["variant"])
-    made: list[tuple[Path, str]] = []
-
-    def add(paths: Sequence[Path], figure: str, metrics: Sequence[str] = (), **shown: object) -> None:
-        made.extend((path, analysis.caption(figure, metrics, reference, resimulated, **shown)) for path in paths)
-
-    runs = analysis.improvements(means, design, components)
-    pairs = analysis.interactions(means, design, components)
-    drawn = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
-    add(drawn, "verdicts", design=design)
-    page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
-    for k, start in enumerate(range(0, len(frames), page)):
-        drawn = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
-        add(drawn, "qualitative", attenuation=frames[start].attenuation is not None)
-    scored = analysis.ordered_metrics(list(per_image["metric"]))
-    headline = [name for name in shown_in(Shown.headline) if name in scored]
-    for stem, metrics in {"boxplots": headline, **{f"boxplot_{name}": [name] for name in scored}}.items():
-        drawn = analysis.boxplot_panels(per_image, metrics, folder / stem, reference, study.paired, components)
-        add(drawn, "boxplots", metrics)
-    panels = shown_in(Shown.panels)
-    drawn = analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components)
-    add(drawn, "seeds", panels)
-    for k, frame in enumerate(frames):
-        drawn = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
-        add(drawn, "pchi2_maps", frame=frame.name)
-    points, floors = runtime_points(study.table)
-    if len(points):
-        machine = timed_on(study.usable.all)
-        drawn = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, machine, components)
-        add(drawn, "error_vs_runtime", list(dict.fromkeys(points["metric"])))
-    return made
+def _with_pictures(study: Study) -> tuple[StudyResults, list[str]]:
+    """The results of a study with its pictures, or a sentence why there are none."""
+    try:
+        frames = study.pictures
+    except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
+        return study.results, [f"There are no pictures: {' '.join(str(error).split())}."]
+    missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
+    return replace(study.results, pictures=frames), missing
 
 
 def _verdicts_in_words(verdicts: Path) -> str:

@@ -10,10 +10,9 @@ from pathlib import Path
 import pandas as pd
 from tqdm import tqdm
 
-from ablate import analysis
-from ablate.analysis import RESIMULATION, FramePictures
+from ablate.analysis import RESIMULATION, FramePictures, StudyResults
 from ablate.study.comparable import ComparableRuns, comparable_runs
-from ablate.study.reading import Answers, answers, pictures, scored_frames
+from ablate.study.reading import pictures, results_of, table_of_runs
 from ablate.study.run import RunList, read_list
 from ablate.study.training import earlier_layout
 
@@ -41,59 +40,54 @@ class Study:
         return self.listed.reference
 
     @cached_property
+    def results(self) -> StudyResults:
+        """Scores and what follows from them: tables, effects, verdicts; see `analysis.StudyResults`."""
+        return results_of(self.usable, self.reference)
+
+    @property
     def per_image(self) -> pd.DataFrame:
         """Columns variant, seed, frame, site, metric, value, ...: one row a metric of a test frame of a run.
 
         The variant `re-simulation` is the same frames simulated again.
         """
-        return self._of_runs(self._scored[0])
+        return self.results.per_image
 
-    @cached_property
+    @property
     def scalars(self) -> pd.DataFrame:
         """Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance."""
-        return self._of_runs(self._scored[1])
+        assert self.results.scalars is not None
+        return self.results.scalars
 
     @property
     def blocks(self) -> pd.DataFrame:
         """The rows as in `per_image` of the runs `usable.blocks`."""
-        return self._scored[0][self._scored[0]["data"] != self.usable.runs[0].data]
+        assert self.results.blocks is not None
+        return self.results.blocks
 
-    @cached_property
-    def _scored(self) -> tuple[pd.DataFrame, pd.DataFrame]:
-        return scored_frames(self.usable.all)
-
-    def _of_runs(self, rows: pd.DataFrame) -> pd.DataFrame:
-        return rows[rows["data"] == self.usable.runs[0].data].reset_index(drop=True)
-
-    @cached_property
+    @property
     def table(self) -> pd.DataFrame:
         """Mean and spread of every metric of every variant; see `analysis.comparison_table`."""
-        return analysis.comparison_table(self.per_image, self.scalars, self.reference)
+        return self.results.table
 
     @property
     def floor(self) -> pd.DataFrame:
         """The rows of `table` that are of the re-simulation, by metric."""
         return self.table[self.table["variant"] == RESIMULATION].set_index("metric").drop(columns="variant")
 
-    @cached_property
+    @property
     def paired(self) -> pd.DataFrame:
         """Every variant beside the reference, frame by frame; see `analysis.paired_table`."""
-        return analysis.paired_table(self.per_image, self.reference)
+        return self.results.paired
 
     @cached_property
-    def answers(self) -> Answers:
-        """The design of the study, and what it says of each component."""
-        return answers(self.usable.all, self.reference)
-
-    @property
     def runs(self) -> pd.DataFrame:
         """One row a run: variant, seed, data, its components, and its mean of every metric."""
-        return self.answers.runs
+        return table_of_runs(self.usable.all)
 
     @property
     def verdicts(self) -> pd.DataFrame:
         """One row a component: effect, interval, band and verdict; see `analysis.verdict_table`."""
-        return self.answers.verdicts
+        return self.results.verdicts
 
     @cached_property
     def pictures(self) -> list[FramePictures]:

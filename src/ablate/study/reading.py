@@ -1,20 +1,18 @@
 """The runs of a study as comparisons read them: their tables and pictures, and how they were made."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ablate import analysis
-from ablate.analysis import REFERENCE, RESIMULATION, Component, Design, FramePictures, ordered_variants
-from ablate.metrics import Shown, shown_in
+from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, StudyResults, ordered_variants
 from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.networks.spec import Family
 from ablate.settings.conf import NOT_OF_CUSTOM, components
-from ablate.study.comparable import factors_of, levels_of
-from ablate.study.frame_times import frame_times
+from ablate.study.comparable import ComparableRuns, factors_of, levels_of
+from ablate.study.frame_times import frame_times, timed_on
 from ablate.study.provenance import ABOUT_CODE
 from ablate.study.run import Run
 
@@ -54,20 +52,6 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     table = pd.DataFrame(scalars)
     times = frame_times(runs)
     return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
-
-
-def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
-
-    `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
-    """
-    times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
-    scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
-    points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
-    points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
-    floors = scored[scored["variant"] == RESIMULATION]
-    known = {str(metric): float(mean) for metric, mean in zip(floors["metric"], floors["mean"], strict=True)}
-    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], known
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
@@ -111,38 +95,40 @@ def provenance(runs: Sequence[Run]) -> dict[str, str]:
     return texts
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """The design of a study, and what follows from it; the tables are those of `ablate.analysis`.
-
-    `runs` has one row a run of the study: variant, seed, data, its components, its mean of every metric over the frames
-    of which all runs have a value, and the quartiles of its time a frame.
-    """
-
-    design: Design | None  # None where no component varies; `effects` is then empty
-    means: pd.DataFrame  # one row a metric of a run of the design
-    effects: pd.DataFrame
-    verdicts: pd.DataFrame
-    runs: pd.DataFrame
-    components: tuple[Component, ...]  # what was judged: the declared ones, and keys that somebody swept
-
-
-def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
-    """Find the design of runs, which may show several anatomies, and judge its components."""
-    levels = {run.label: levels_of(run.identity) for run in runs}
-    told = {run.label: run.changed | levels[run.label] for run in runs}  # with seeds and groups that a label names
+def results_of(usable: ComparableRuns, reference: str = REFERENCE) -> StudyResults:
+    """The scores of runs, which may show several anatomies, and the design that they make up; without pictures."""
+    runs = usable.all
     factors = factors_of(runs)
-    judged = analysis.with_undeclared(components(), factors)
-    block = {run.data: str(run.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}
     per_image, scalars = scored_frames(runs)
-    design = analysis.find_design(levels, factors, reference)
+    design = analysis.find_design({run.label: levels_of(run.identity) for run in runs}, factors, reference)
     means = analysis.run_means(per_image, scalars, design)
-    means["data"] = means["data"].map(block)
-    times = scalars[scalars["metric"] == FRAME_TIME]  # their spread is half the distance of the quartiles
-    spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
-    effects = pd.DataFrame() if design is None else analysis.effects_table(means, design)
-    verdicts = analysis.verdict_table(means, design, judged, spreads)
-    return Answers(design, means, effects, verdicts, _wide(per_image, scalars, told, factors), judged)
+    anatomy_of = {run.data: str(run.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}
+    means["data"] = means["data"].map(anatomy_of)
+    times = scalars[scalars["metric"] == FRAME_TIME]
+    spreads = {}
+    if len(times):  # half the distance of the quartiles
+        spreads[FRAME_TIME] = float((times["upper"] - times["lower"]).mean() / 2)
+    compared = usable.runs[0].data
+    return StudyResults(
+        per_image=per_image[per_image["data"] == compared].reset_index(drop=True),
+        scalars=scalars[scalars["data"] == compared].reset_index(drop=True),
+        reference=reference,
+        blocks=per_image[per_image["data"] != compared],
+        design=design,
+        means=means,
+        components=analysis.with_undeclared(components(), factors),
+        spreads=spreads,
+        machine=timed_on(runs),
+    )
+
+
+def table_of_runs(runs: Sequence[Run]) -> pd.DataFrame:
+    """One row a run: variant, seed, data, the level of every factor that varies or is declared, and every mean.
+
+    Means are over the frames of which all runs have a value; of times there are quartiles too.
+    """
+    levels = {run.label: run.changed | levels_of(run.identity) for run in runs}  # with seeds and groups of labels
+    return _wide(*scored_frames(runs), levels, factors_of(runs))
 
 
 def _wide(

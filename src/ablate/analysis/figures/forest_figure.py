@@ -1,6 +1,6 @@
 """Which components earn their keep, in one picture: effects with intervals, costs, and the map of interactions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -11,14 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 
 from ablate.analysis.components import Component
+from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
-from ablate.analysis.statistics.verdicts import ALPHA, Answer
+from ablate.analysis.results import StudyResults
+from ablate.analysis.statistics.verdicts import ALPHA, Verdict, improvements, interactions
 from ablate.metrics import Direction, metric_of
 
 ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.9, 0.27
 FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
-COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided: "#555555"}
+COLOURS = {Verdict.earns: "#007A55", Verdict.does_not: "#B04A00", Verdict.undecided: "#555555"}
 MAP_NOTE = """Half of the difference between
 a component's improvement (row)
 with and without another
@@ -35,15 +37,33 @@ def forest_figure(
 ) -> list[Path]:
     """Draw the verdicts: a row a component, and below them how components change each other's effects.
 
-    The unit of an improvement is the band of its component. Components without an effect are left out. The files are a
-    PNG and a PDF at `stem`, a path without suffix; none without an effect. `verdicts`, `runs` and `pairs` are what
-    `verdict_table`, `improvements` and `interactions` give of these `components`.
+    The unit of an improvement is the band of its component. Components without an effect are left out.
+
+    Parameters
+    ----------
+    verdicts : DataFrame
+        What `verdict_table` gives.
+    runs : DataFrame
+        What `improvements` gives.
+    pairs : DataFrame
+        What `interactions` gives.
+    components : sequence of Component
+        Those of the tables, for their labels.
+    stem : Path
+        Of the files, without suffix.
+
+    Returns
+    -------
+    list of Path
+        A PNG and a PDF; none without an effect.
     """
     shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
     if shown.empty:
         return []
     labels = {name: name for name in shown["component"]} | {c.name: c.label for c in components}
-    rows = [HEAD_IN + ROW_IN * len(shown), *([1.0 + CELL_IN * len(shown)] if len(pairs) else [])]
+    rows = [HEAD_IN + ROW_IN * len(shown)]
+    if len(pairs):
+        rows.append(1.0 + CELL_IN * len(shown))
     with house_style():
         figure = new_figure(PAGE_IN, sum(rows))
         grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.0, 1])
@@ -60,23 +80,19 @@ def forest_figure(
 
 
 def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Mapping[str, str]) -> None:
-    places = np.arange(len(shown), 0, -1)
+    places = range(len(shown), 0, -1)
     axes.set_xscale("symlog", linthresh=1, linscale=0.8)  # linear within the band
     axes.margins(x=0.06)
     axes.axvspan(-1, 1, color=BAND_COLOUR, lw=0, zorder=0, label="too small to matter")
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     for place, row in zip(places, shown.to_dict("records"), strict=True):
-        name, metric = row["component"], metric_of(row["metric"])
-        scale = (1 if metric.better is Direction.higher else -1) / row["band"]
-        dots = runs[runs["component"] == name]
-        for on, fill, label in ((True, RUN_COLOUR, "run with it"), (False, "white", "run without it")):
-            values = dots.loc[dots["on"] == on, "improvement"] / row["band"]
-            heights = np.full(len(values), place + (0.24 if on else -0.24))
-            axes.plot(values, heights, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
+        _draw_runs(axes, runs[runs["component"] == row["component"]], row["band"], place)
+        sign = 1 if metric_of(row["metric"]).better is Direction.higher else -1
+        scale = sign / row["band"]
         ends = [scale * row["lower"], scale * row["upper"]]
-        axes.plot(ends, [place] * 2, color="black", lw=2.2, solid_capstyle="butt", zorder=3)
+        axes.plot(ends, [place, place], color="black", lw=2.2, solid_capstyle="butt", zorder=3)
         ends = [row["least"] / row["band"], row["most"] / row["band"]]
-        axes.plot(ends, [place] * 2, "k|-", lw=0.8, ms=6, label="with Holm's correction", zorder=3)
+        axes.plot(ends, [place, place], "k|-", lw=0.8, ms=6, label="with Holm's correction", zorder=3)
         style: dict[str, Any] = {"ms": 5.5, "mfc": "black", "mec": "white", "mew": 0.6}
         axes.plot([scale * row["effect"]], [place], "D", **style, label="effect, 95 % interval", zorder=4)
     names = zip(shown["component"], shown["metric"], strict=True)
@@ -88,6 +104,17 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Ma
     axes.set_title("effect of each component on its own metric", loc="left")
 
 
+def _draw_runs(axes: Axes, runs: pd.DataFrame, band: float, place: int) -> None:
+    """A dot a run: those with the component above its row, those without it below."""
+    for on, height, fill, label in (
+        (True, place + 0.24, RUN_COLOUR, "run with it"),
+        (False, place - 0.24, "white", "run without it"),
+    ):
+        values = runs.loc[runs["on"] == on, "improvement"] / band
+        heights = np.full(len(values), height)
+        axes.plot(values, heights, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
+
+
 def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
     """Verdicts and costs, as columns of text in the rows of the forest."""
     axes.set_axis_off()
@@ -95,8 +122,8 @@ def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
     for x, head, side in ((0.03, "verdict", "left"), (0.66, "ms/frame", "right"), (1.0, "weights", "right")):
         axes.text(x, len(shown) + 0.72, head, ha=side, va="center", color="#666666")
     for place, row in zip(range(len(shown), 0, -1), shown.to_dict("records"), strict=True):
-        word = Answer(row["verdict"])
-        axes.text(0.03, place, word.replace("_", " "), va="center", weight="bold", color=COLOURS[word])
+        verdict = Verdict(row["verdict"])
+        axes.text(0.03, place, verdict.replace("_", " "), va="center", weight="bold", color=COLOURS[verdict])
         time = _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0)
         axes.text(0.66, place, time, ha="right", va="center")
         axes.text(1.0, place, _signed(row["parameters"] / 1000, 0, "k"), ha="right", va="center")
@@ -117,11 +144,12 @@ def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, labels: Mapp
     share = np.full((len(names), len(names)), np.nan)
     strength = np.full(share.shape, FAINT)
     for row in shown_pairs.to_dict("records"):
-        place = names.index(row["component"]), names.index(row["other"])
-        share[place] = row["improvement"] / bands[row["component"]]
+        i = names.index(row["component"])
+        j = names.index(row["other"])
+        share[i, j] = row["improvement"] / bands[row["component"]]
         star = "*" if row["q"] < ALPHA else ""
-        strength[place] = 1.0 if star else FAINT
-        axes.text(*place[::-1], f"{_signed(share[place], 1)}{star}", ha="center", va="center")
+        strength[i, j] = 1.0 if star else FAINT
+        axes.text(j, i, f"{_signed(share[i, j], 1)}{star}", ha="center", va="center")
     most = max(float(np.nanmax(np.abs(share), initial=0.0)), 1.0)
     axes.imshow(share, cmap=_MAP, vmin=-most, vmax=most, aspect="auto", alpha=strength)
     axes.set_xticks(range(len(names)), ["\n".join(wrap(labels[name], 11)) for name in names])
@@ -131,3 +159,17 @@ def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, labels: Mapp
     axes.xaxis.tick_top()
     axes.set_title("interactions", loc="left")
     axes.spines[:].set_visible(False)
+
+
+def _of_study(results: StudyResults, folder: Path) -> Iterator[Drawing]:
+    files = forest_figure(
+        results.verdicts,
+        improvements(results.means, results.design, results.components),
+        interactions(results.means, results.design, results.components),
+        results.components,
+        folder / "verdicts",
+    )
+    yield Drawing(files, facts={"design": results.design})
+
+
+VERDICTS = StudyFigure(name="verdicts", section=Section.verdicts, draw=_of_study, place=10)

@@ -49,7 +49,8 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     paths = [stem.with_name(stem.name + suffix) for suffix in (".png", ".pdf")]
     for path in paths:
         about = {"CreationDate": None} if path.suffix == ".pdf" else None
-        figure.savefig(drawn := BytesIO(), format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
+        drawn = BytesIO()
+        figure.savefig(drawn, format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
         with written_whole(path) as partial:  # not by Matplotlib, whose PDF hides that a disk is full
             partial.write_bytes(drawn.getvalue())
         figure.set_layout_engine("none")  # the second file takes the places found for the first
@@ -65,9 +66,18 @@ def colour_of(name: str, names: Sequence[str]) -> str:
 def metric_panels(
     metrics: Sequence[str], rows: Sequence[str], across: int, row_in: float = ROW_IN
 ) -> tuple[Figure, list[Axes]]:
-    """An empty figure with one axes a metric, `across` side by side, and the shown names of rows from top to bottom.
+    """An empty figure with one axes a metric.
 
-    Row k lies at the ordinate `len(rows) - k`. A row takes `row_in` inches.
+    Parameters
+    ----------
+    metrics : sequence of str
+        One axes each.
+    rows : sequence of str
+        Shown names, from top to bottom; row k lies at the ordinate `len(rows) - k`.
+    across : int
+        Axes side by side.
+    row_in : float, inches
+        Height of a row.
     """
     across = min(across, len(metrics))
     down = -(-len(metrics) // across)
@@ -108,8 +118,11 @@ def shown_name(label: str, components: Sequence[Component] = ()) -> str:
 def axis_title(metric: str, shown: str = "{}") -> str:
     """Name of a metric within `shown` (`Δ {} to sa2h`), and on a line below its unit and which way is better."""
     entry = metric_of(metric)
-    hint = "" if entry.better is Direction.zero and shown != "{}" else HINTS[entry.better]
-    return f"{shown.format(entry.label)}\n{', '.join(filter(None, (entry.unit, hint)))}"
+    hint = HINTS[entry.better]
+    if entry.better is Direction.zero and shown != "{}":
+        hint = ""
+    below = [text for text in (entry.unit, hint) if text]
+    return f"{shown.format(entry.label)}\n{', '.join(below)}"
 
 
 def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, Any]:
@@ -135,6 +148,7 @@ def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:
 
 def one_legend(figure: Figure, panels: Sequence[Axes], columns: int) -> None:
     """One legend above all panels, each entry once; none without an entry."""
-    if entries := legend_entries(panels):
+    entries = legend_entries(panels)
+    if entries:
         style: dict[str, Any] = {"ncols": columns, "frameon": False, "handlelength": 1.6}
         figure.legend(entries.values(), entries.keys(), loc="outside upper center", **style)

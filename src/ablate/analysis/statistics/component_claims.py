@@ -1,4 +1,4 @@
-"""Whether a component matters: judged on trainings, not on frames."""
+"""Whether a variant differs from the reference: judged on trainings, not on frames."""
 
 from enum import StrEnum
 
@@ -12,8 +12,8 @@ from ablate.analysis.statistics.paired import holm, where_known
 FEWEST_SEEDS = 3
 
 
-class Verdict(StrEnum):
-    """What the seeds of a study say about a component."""
+class Claim(StrEnum):
+    """What may be said about the difference of a variant from the reference."""
 
     not_claimable = "not claimable"
     no_difference_found = "no difference found"
@@ -63,6 +63,6 @@ def seed_claims(
     table["p_holm"] = where_known(holm, table["p"])
     alone, corrected = (table[name].astype(float) for name in ("p", "p_holm"))
     known = [corrected < 1 - LEVEL, alone < 1 - LEVEL, alone.notna()]
-    verdicts = [Verdict.differs, Verdict.suggested, Verdict.no_difference_found]
-    table.insert(2, "verdict", np.select(known, verdicts, Verdict.not_claimable))
+    verdicts = [Claim.differs, Claim.suggested, Claim.no_difference_found]
+    table.insert(2, "verdict", np.select(known, verdicts, Claim.not_claimable))
     return table

@@ -23,9 +23,15 @@ _OF_IMAGES = ("scene.", "probe.", "simulator.", "dataset.")
 class Design:
     """Runs that differ in two-level components and in nothing else.
 
-    `cells` has a row for each label, indexed by it, and a categorical column for each component that varies, named by
-    its dotted configuration key, the reference's level first. `reading` says what the effects of the design mean, and
-    what they cannot be told from.
+    Attributes
+    ----------
+    cells : DataFrame
+        One row a label, indexed by it: a categorical column for each component that varies, named by its dotted
+        configuration key, the reference's level first.
+    name : str
+        What kind of experiment it is.
+    reading : str
+        What its effects mean, and what they cannot be told from.
     """
 
     cells: pd.DataFrame
@@ -56,99 +62,163 @@ def find_design(
     if not runs:
         return None
     if reference not in runs:
-        near = {
-            label: [sum(run.get(key) != other.get(key) for key in {*run, *other}) for other in runs.values()].count(1)
-            for label, run in runs.items()
-        }
-        reference = max(near, key=lambda label: near[label])
+        reference = _with_most_neighbours(runs)
     base = runs[reference]
-    alike = {
+    others = set(base) - set(factors)  # keys in which nothing may differ
+    comparable = {
         label: {factor: _level(run[factor]) for factor in factors if factor in run}
         for label, run in runs.items()
-        if all(run[key] == base[key] for key in run.keys() & base.keys() - set(factors))
+        if all(run[key] == base[key] for key in others & run.keys())
     }
-    levels = {}
-    for factor, level in alike[reference].items():
-        others = [run[factor] for run in alike.values() if run.get(factor, level) != level]
-        if others:
-            levels[factor] = [level, max(dict.fromkeys(others), key=others.count)]
-    kept = [label for label, run in alike.items() if all(run.get(f) in pair for f, pair in levels.items())]
+    levels = _two_levels(comparable, reference)
+    kept = [
+        label
+        for label, run in comparable.items()
+        if all(run.get(factor) in two_levels for factor, two_levels in levels.items())
+    ]
     kept.sort(key=lambda label: label != reference)
-    levels = {f: pair for f, pair in levels.items() if len({alike[label][f] for label in kept}) == 2}
-    if not levels:
+    cells = {
+        factor: pd.Categorical([comparable[label][factor] for label in kept], two_levels)
+        for factor, two_levels in levels.items()
+        if len({comparable[label][factor] for label in kept}) == 2
+    }
+    if not cells:
         return None
-    cells = {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}
     design = _read(pd.DataFrame(cells, index=kept))
     reading = design.reading
-    if of_images := [key for key in design.factors if key.startswith(_OF_IMAGES)]:
+    of_images = [key for key in design.factors if key.startswith(_OF_IMAGES)]
+    if of_images:
         reading += (
             f" Levels of {', '.join(of_images)} were scored on different images; p does not count how these differ."
         )
-    if apart := ", ".join(label for label in runs if label not in design.cells.index):
-        reading += f" Left out of it: {apart}."
+    left_out = [label for label in runs if label not in design.cells.index]
+    if left_out:
+        reading += f" Left out of it: {', '.join(left_out)}."
     return replace(design, reading=reading)
+
+
+def _with_most_neighbours(runs: Mapping[str, Mapping[str, object]]) -> str:
+    """The label that most others are one change away from."""
+
+    def neighbours(label: str) -> int:
+        run = runs[label]
+        changes = [sum(run.get(key) != other.get(key) for key in {*run, *other}) for other in runs.values()]
+        return changes.count(1)
+
+    return max(runs, key=neighbours)
+
+
+def _two_levels(runs: Mapping[str, Mapping[str, object]], reference: str) -> dict[str, list[object]]:
+    """By factor that varies, the reference's level and the one that most other runs have."""
+    levels = {}
+    for factor, level in runs[reference].items():
+        others = [run[factor] for run in runs.values() if run.get(factor, level) != level]
+        if others:
+            levels[factor] = [level, max(dict.fromkeys(others), key=others.count)]
+    return levels
 
 
 def _level(value: object) -> object:
     """A configuration value as a level of a factor: lists, mappings and null as text."""
-    return value if isinstance(value, str | Real) else "null" if value is None else str(value)
+    if value is None:
+        return "null"
+    return value if isinstance(value, str | Real) else str(value)
 
 
 def _read(cells: pd.DataFrame) -> Design:
     """The design that cells make up, perhaps without some of them."""
+    cells = _half_alone(cells)
     factors = list(cells.columns)
+    count = len(cells.drop_duplicates())
+    if count == 2 ** len(factors):
+        return _full_factorial(cells)
     short = short_keys(factors)
-    full = 2 ** len(factors)
-    components = f"{len(factors)} component{'' if len(factors) == 1 else 's'}"
-    changed = pd.DataFrame({factor: cells[factor].cat.codes for factor in cells})
-    even = changed.sum(axis=1) % 2 == 0
-    if len(factors) >= 5 and 2 * len(changed[even].drop_duplicates()) == full != len(changed.drop_duplicates()):
-        cells, changed = cells[even], changed[even]  # runs beside a half would confound its effects
-    codes = changed.to_numpy()
-    count = len(changed.drop_duplicates())
-    if count == full:
-        if len(factors) == 1:
-            name = f"with and without one component ({short[factors[0]]})"
-            change = "An effect is the change from {} to {}. ".format(*cells[factors[0]].cat.categories)
-            return Design(cells, name, f"{change}Nothing else differs between these runs.")
-        reading = "An effect is averaged over all combinations of the other components."
-        return Design(cells, f"full factorial of {components} ({count} cells)", reading)
     words = defining_relation(cells.rename(columns=short), list(short.values()))
-    if len(words) == 1 and 2 * count == full:
-        order = words[0].count(":") + 1
+    if len(words) == 1 and 2 * count == 2 ** len(factors):
+        return _half_of_factorial(cells, words[0])
+    changed = _changed(cells).to_numpy()
+    apart = np.abs(changed[:, None, :] - changed[None, :, :]).sum(axis=2)
+    neighbours = (apart == 1).sum(axis=1)
+    centre = 0 if neighbours[0] else int(np.argmax(neighbours))
+    reference = cells.index[0]
+    base = cells.index[centre]
+    near = apart[centre] <= 1
+    if neighbours[centre] and not _tell_interactions(changed):
+        kept = apart[centre] <= 2  # more changes at once hold interactions that these cells cannot tell apart
+        cells = cells[kept]
+        near = near[kept]
+    if set(cells.index[~near]) <= {reference}:  # the full model beside an add-one-in study takes no part in it
+        return _one_at_a_time(cells[near], base)
+    return _some_cells(cells)
+
+
+def _changed(cells: pd.DataFrame) -> pd.DataFrame:
+    """A column a factor: 0 where a cell has the reference's level, and 1 where it has the other one."""
+    return pd.DataFrame({factor: cells[factor].cat.codes for factor in cells})
+
+
+def _half_alone(cells: pd.DataFrame) -> pd.DataFrame:
+    """The cells with an even number of changes, where these are a half of five factors or more; else all cells.
+
+    Runs beside a half would confound its effects.
+    """
+    full = 2 ** len(cells.columns)
+    even = cells[_changed(cells).sum(axis=1) % 2 == 0]
+    is_half = 2 * len(even.drop_duplicates()) == full
+    whole = len(cells.drop_duplicates()) == full
+    return even if len(cells.columns) >= 5 and is_half and not whole else cells
+
+
+def _tell_interactions(changed: np.ndarray) -> bool:
+    """Whether cells, (cells, factors) int, can tell the main effects and all two-way interactions apart."""
+    pairs = [(1 - 2 * changed[:, [i, j]]).prod(axis=1) for i, j in combinations(range(changed.shape[1]), 2)]
+    terms = np.column_stack([np.ones(len(changed)), changed, *pairs])
+    return bool(np.linalg.matrix_rank(terms) == terms.shape[1])
+
+
+def _full_factorial(cells: pd.DataFrame) -> Design:
+    factors = list(cells.columns)
+    if len(factors) == 1:
+        before, after = cells[factors[0]].cat.categories
+        reading = f"An effect is the change from {before} to {after}. Nothing else differs between these runs."
+        return Design(cells, f"with and without one component ({short_keys(factors)[factors[0]]})", reading)
+    name = f"full factorial of {len(factors)} components ({2 ** len(factors)} cells)"
+    return Design(cells, name, "An effect is averaged over all combinations of the other components.")
+
+
+def _half_of_factorial(cells: pd.DataFrame, word: str) -> Design:
+    """The half of a factorial in which the product of `word` is the same in all cells."""
+    components = len(cells.columns)
+    order = word.count(":") + 1
+    mixed = "The column aliases of effects.csv says what an effect cannot be separated from."
+    if order == components:
         mixed = (
             f"A main effect cannot be separated from an interaction of {order - 1} components. An interaction of two "
             f"components cannot be separated from one of {order - 2} components."
-            if order == len(factors)
-            else "The column aliases of effects.csv says what an effect cannot be separated from."
         )
-        reading = f"The defining relation is I = {words[0]}, where + means that a component is changed. {mixed}"
-        return Design(cells, f"half of the factorial of {components} ({count} of {full} cells)", reading)
-    apart = np.abs(codes[:, None, :] - codes[None, :, :]).sum(axis=2)
-    neighbours, first = (apart == 1).sum(axis=1), cells.index[0]
-    centre = 0 if neighbours[0] else int(np.argmax(neighbours))
-    near = apart[centre] <= 1
-    pairs = [(1 - 2 * codes[:, pair]).prod(axis=1) for pair in map(list, combinations(range(len(factors)), 2))]
-    terms = np.column_stack([np.ones(len(codes)), codes, *pairs])
-    if neighbours[centre] and np.linalg.matrix_rank(terms) < terms.shape[1]:
-        kept = apart[centre] <= 2  # more changes at once hold interactions that these cells cannot tell apart
-        cells, near, count = cells[kept], near[kept], len(changed[kept].drop_duplicates())
-    if set(cells.index[~near]) <= {first}:  # the full model beside an add-one-in study takes no part in it
-        base = changed.index[centre]
-        reading = (
-            f"An effect is the effect of one change while everything else is as in {base}. Whether it depends on the "
-            "other components (an interaction) cannot be told from these runs."
-        )
-        cells = cells[near]
-        cells = cells.loc[:, cells.nunique() == 2]
-        return Design(cells, f"one change at a time around {base} ({len(cells.drop_duplicates())} cells)", reading)
+    reading = f"The defining relation is I = {word}, where + means that a component is changed. {mixed}"
+    full = 2**components
+    return Design(cells, f"half of the factorial of {components} components ({full // 2} of {full} cells)", reading)
+
+
+def _one_at_a_time(cells: pd.DataFrame, base: str) -> Design:
+    cells = cells.loc[:, cells.nunique() == 2]
+    reading = (
+        f"An effect is the effect of one change while everything else is as in {base}. Whether it depends on the "
+        "other components (an interaction) cannot be told from these runs."
+    )
+    return Design(cells, f"one change at a time around {base} ({len(cells.drop_duplicates())} cells)", reading)
+
+
+def _some_cells(cells: pd.DataFrame) -> Design:
+    cells = cells.loc[:, cells.nunique() == 2]
+    components = len(cells.columns)
     reading = (
         "An interaction of two components is estimated if all four combinations were run, and the effects of both are "
         "averaged over these. All other interactions are taken as zero: if they are not, these effects can be wrong."
     )
-    cells = cells.loc[:, cells.nunique() == 2]
-    varied = len(cells.columns)
-    return Design(cells, f"{count} of the {2**varied} cells of {varied} components", reading)
+    count = len(cells.drop_duplicates())
+    return Design(cells, f"{count} of the {2**components} cells of {components} components", reading)
 
 
 def run_means(

@@ -27,15 +27,15 @@ VERDICT_COLUMNS = (
 )
 
 
-class Answer(StrEnum):
-    """The verdict on a component: it earns its keep, it does not, or the runs cannot tell."""
+class Verdict(StrEnum):
+    """What is known of a component: it earns its keep, it does not, or the runs cannot tell."""
 
     earns = "earns"
     does_not = "does_not"
     undecided = "undecided"
 
 
-def answer(improvement: float, p_holm: float, p_band_holm: float) -> Answer:
+def verdict(improvement: float, p_holm: float, p_band_holm: float) -> Verdict:
     """The rule. Both p-values are corrected over the components (Holm), each family at 5 %.
 
     1. `does_not`: the improvement is smaller than the band (one-sided test, `p_band_holm`). This includes harm, and an
@@ -44,8 +44,8 @@ def answer(improvement: float, p_holm: float, p_band_holm: float) -> Answer:
     3. Else `undecided`.
     """
     if p_band_holm < ALPHA:
-        return Answer.does_not
-    return Answer.earns if p_holm < ALPHA and improvement > 0 else Answer.undecided
+        return Verdict.does_not
+    return Verdict.earns if p_holm < ALPHA and improvement > 0 else Verdict.undecided
 
 
 def verdict_table(
@@ -99,9 +99,9 @@ def verdict_table(
     table["most"] = table["improvement"] + error * stats.t.isf(ALPHA / factor["p_band"], dof)
     # A missing p-value is below no level: undecided.
     judged = table[["improvement", "p_holm", "p_band_holm"]].to_numpy(float)
-    table["verdict"] = [str(answer(*row)) for row in judged]
+    table["verdict"] = [str(verdict(*row)) for row in judged]
     table["why"] = table["why"].astype(object)
-    open_ = table["p_holm"].notna() & (table["verdict"] == Answer.undecided)
+    open_ = table["p_holm"].notna() & (table["verdict"] == Verdict.undecided)
     table.loc[open_, "why"] = "its improvement is neither shown to be above zero nor below the band"
     words = ("component", "metric", "verdict", "better", "why")
     types = {name: "float64" for name in VERDICT_COLUMNS if name not in words}

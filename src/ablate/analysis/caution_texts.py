@@ -1,0 +1,98 @@
+"""What may not be concluded from a study."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis.scored import REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
+from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
+from ablate.analysis.templates import filled
+from ablate.metrics import METRICS, metric_of
+
+FEW_SITES = 10  # below, intervals over sites are rough
+#: The positive control: if the best network has more than so many times re-simulation's error, none renders.
+CONTROL, MOST_TIMES = "mae_smooth", 1.7
+_FRAMES_NAMED = 3  # of a run with a gap
+
+
+@dataclass(frozen=True)
+class _Gap:
+    """Values of a metric that are not finite: their kind, how many there are, and their runs and frames."""
+
+    metric: str
+    kind: str
+    count: int
+    where: list[str]
+
+
+def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.DataFrame | None = None) -> list[str]:
+    """Return what a reader must not conclude from a study, one sentence each; `per_image` as for `comparison_table`.
+
+    `blocks` has the same of runs on other anatomies or data sets, which verdicts use too, with a column data in both.
+    """
+    networks = per_image[per_image["variant"] != RESIMULATION]
+    variants = ordered_variants(list(networks["variant"]), reference)
+    seeds = networks.groupby("variant")["seed"].nunique()
+    of_all_data = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
+    text = filled(
+        "cautions.jinja",
+        reference=reference,
+        variants=variants,
+        few=[f"{variant} ({seeds[variant]})" for variant in variants if seeds[variant] < FEWEST_SEEDS],
+        fewest_seeds=FEWEST_SEEDS,
+        resimulated=RESIMULATION in set(per_image["variant"]),
+        control=_times_of_resimulation(per_image),
+        most_times=MOST_TIMES,
+        label=metric_of(CONTROL).label,
+        sites=networks["site"].nunique(),
+        few_sites=FEW_SITES,
+        short=_short_runs(of_all_data),
+        gaps=_gaps(of_all_data),
+        metrics_of_the_package=METRICS,
+    )
+    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+
+
+def _times_of_resimulation(per_image: pd.DataFrame) -> float:
+    """How many times the error of re-simulation the best network has; NaN where it is not known."""
+    errors = per_image[per_image["metric"] == CONTROL].groupby("variant")["value"].mean().replace(0.0, np.nan)
+    return errors.drop(RESIMULATION, errors="ignore").min() / errors.get(RESIMULATION, np.nan)
+
+
+def _short_runs(per_image: pd.DataFrame) -> list[str]:
+    """The runs that have fewer test frames than another one of their data set, and how many."""
+    networks = per_image[per_image["variant"] != RESIMULATION]
+    frames = networks.groupby(["data", "variant", "seed"])["frame"].nunique().reset_index()
+    frames["most"] = frames.groupby("data")["frame"].transform("max")
+    short = frames[frames["frame"] < frames["most"]].to_dict("records")
+    return [f"{run['variant']}/seed{run['seed']} ({run['frame']} of {run['most']})" for run in short]
+
+
+def _gaps(per_image: pd.DataFrame) -> list[_Gap]:
+    """The gaps of all metrics.
+
+    A value is missing where another run has one of the frame: where none has, the frame offers nothing to measure.
+    """
+    gaps = []
+    all_frames = every_frame(per_image)
+    for metric in ordered_metrics(list(per_image["metric"])):
+        rows = all_frames[all_frames["metric"] == metric]
+        value = rows["value"]
+        stored = rows["stored"] == "both"
+        elsewhere = stored.groupby([rows["data"], rows["frame"]]).transform("any")
+        kinds = {"infinite value": np.isinf(value), "NaN": value.isna() & stored, "missing value": elsewhere & ~stored}
+        for kind, is_of_kind in kinds.items():
+            left_out = rows[is_of_kind]
+            if len(left_out):
+                gaps.append(_Gap(metric, kind, len(left_out), _frames_by_run(left_out)))
+    return gaps
+
+
+def _frames_by_run(rows: pd.DataFrame) -> list[str]:
+    """Each run of these rows, with the first of its frames."""
+    texts = []
+    for (variant, seed), frames in rows["frame"].astype(str).groupby([rows["variant"], rows["seed"]], sort=False):
+        more = " ..." if len(frames) > _FRAMES_NAMED else ""
+        texts.append(f"{variant}/seed{seed} frame {', '.join(frames.iloc[:_FRAMES_NAMED])}{more}")
+    return texts
