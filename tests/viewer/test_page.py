@@ -22,10 +22,10 @@ from ablate.runs.prepare import simulator_of
 from ablate.runs.simulated import build_scene
 from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
-from ablate.viewer.task import Viewer, check_server
+from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
 from support.viewed_body import free_port, until
-from support.viewer_client import Client, ConnectionClosed
+from support.viewer_client import Client
 
 # Threads of viser's server end a moment after it has been told to stop.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -158,39 +158,6 @@ def test_nonsense_closes_its_connection_and_the_viewer_lives_on(viewer: Viewer) 
         odd.send({"type": "GuiUpdateMessage", "uuid": "no such part", "updates": {"value": 3}})
     with Client(viewer.page.settings.viewer.port) as next_one:
         next_one.until(lambda: next_one.captions())
-
-
-def test_it_listens_on_this_machine_alone_and_a_page_of_another_site_is_refused(viewer: Viewer) -> None:
-    assert viewer.server.get_host() == "127.0.0.1"
-    port = viewer.page.settings.viewer.port
-    with Client(port, origin=f"http://127.0.0.1:{port}") as own:
-        own.until(lambda: own.labels)
-    other = Client(port, origin="http://example.org")
-    with pytest.raises(ConnectionClosed, match="another site"), other:
-        other.until(lambda: other.closed) or other.send({})
-    assert not other.labels
-
-
-def test_nobody_can_ask_for_a_tunnel(client: Client, viewer: Viewer) -> None:
-    asked: list[int] = []
-    viewer.server.request_share_url = lambda: asked.append(1)
-    client.send({"type": "ShareUrlRequest"})
-    client.press("Probe: turn clockwise")
-    client.until(lambda: viewer.session.hold.roll_deg == pytest.approx(5.0, abs=0.1))
-    assert not asked
-
-
-def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
-    port = viewer.page.settings.viewer.port
-    sentence = rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
-    with pytest.raises(ConfigurationError, match=sentence):
-        check_server(port)
-
-
-def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.viewer.task.find_spec", lambda _: None)
-    with pytest.raises(ConfigurationError, match=r"pip install -e '\.\[view\]'"):
-        check_server(8090)
 
 
 def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer: Viewer) -> None:

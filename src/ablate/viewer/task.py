@@ -1,17 +1,12 @@
-"""`task=view`: the probe in a browser, until it is stopped; on this machine alone, and without a tunnel."""
+"""`task=view`: the probe in a browser, until it is stopped."""
 
-import socket
-import sys
 import threading
 import time
 import webbrowser
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import closing, redirect_stdout
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
-from io import StringIO
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -20,7 +15,6 @@ import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
 from ablate.dataset import equally_spaced, place_probe, read_poses
-from ablate.extras import installing
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, training_poses
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
@@ -31,12 +25,10 @@ from ablate.viewer.hand import Hand
 from ablate.viewer.page.operate_tabs import add_hands, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
 from ablate.viewer.page.result_tabs import add_compare_tab, add_keep_tab
+from ablate.viewer.server import HOST, check_server, open_server
 from ablate.viewer.session import Session, State
 from ablate.viewer.worker import Worker
 
-#: Whatever the library's default, the page is shown to this machine only.
-HOST = "127.0.0.1"
-NEEDS = f"task=view needs viser: {installing('view')}"
 _CONTROLS_PX, _IMAGES_PX = 290, 640  # widths, for a window of 1366 px
 _MOST_SITES = 60  # of a list that can be searched by eye
 
@@ -154,44 +146,3 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -
         height, angle = divmod(int(placed.sites[i]), len(grid.angles_deg))
         named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = placed.poses[i]
     return named
-
-
-def check_server(port: int) -> None:
-    """A ConfigurationError in one line where the extra is not installed, or the port is in use or not allowed."""
-    if find_spec("viser") is None:
-        raise ConfigurationError(NEEDS)
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as trial:
-        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            trial.bind((HOST, port))
-        except OSError as error:
-            why = "not allowed" if isinstance(error, PermissionError) else "in use"
-            raise ConfigurationError(f"viewer.port={port}: {why}; give another one, such as {port + 1}") from error
-
-
-def open_server(port: int) -> Any:
-    """A `viser.ViserServer` on this machine's own address, at this port, which `check_server` has found free."""
-    import viser
-    from viser import _messages
-
-    with redirect_stdout(StringIO()):  # it prints a table of addresses
-        server = viser.ViserServer(host=HOST, port=port, verbose=False)
-    sockets = server._websock_server
-    for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-        sockets.unregister_handler(request)  # a browser could ask for a tunnel to another server
-    sockets.on_client_connect(_only_own_pages(sockets, port))
-    return server
-
-
-def _only_own_pages(sockets: Any, port: int) -> Any:
-    """Close the connections that pages of other sites ask a browser for."""
-    own = [f"http://{name}:{port}".removesuffix(":80") for name in (HOST, "localhost")]
-
-    async def check(client: Any) -> None:
-        connection = sockets._live_connections[client.client_id]
-        origin = connection.request.headers.get("Origin")
-        if origin is not None and origin not in own:
-            await connection.close(1008, "another site's page")
-            print(f"ablate: a page of {origin[:100]} was refused", file=sys.stderr)
-
-    return check
