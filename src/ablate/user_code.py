@@ -28,15 +28,45 @@ def load(path: str) -> Any:
     try:
         return getattr(import_module(module), name)
     except (Exception, SystemExit) as error:  # whatever the user's module does
-        raise ValueError(in_one_line(error)) from error
+        raise ValueError(describe_error(error)) from error
 
 
-def in_one_line(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """Describe an error of the user's code: its type and at most 200 characters of its message."""
     return f"{type(error).__name__}: {' '.join(str(error).split()):.200}"
 
 
-def source_digest(path: str) -> str:
+class UnnamedCodeError(ValueError):
+    """A file names code that the user did not name; nothing of it was imported."""
+
+
+def check_named(source: Path, target: object, custom: str | None, key: str) -> None:
+    """Refuse the code that a file names unless the user names it too: reading a result runs no code of its maker.
+
+    Parameters
+    ----------
+    source : Path
+        The file.
+    target : object
+        The dotted path in it; None where it names no code. It may be anything, as its maker wrote it.
+    custom : str or None
+        The dotted path that the user named.
+    key : str
+        What the user names it by, as `custom`.
+
+    Raises
+    ------
+    UnnamedCodeError
+        In one line, where both differ.
+    """
+    if target is not None and target != custom:
+        raise UnnamedCodeError(
+            f"{source}: names code, which is imported only if you name it too; if you trust it, add "
+            f"{key}={target!r:.200}"
+        )
+
+
+def code_digest(path: str) -> str:
     """Compute the SHA-256 of the source code behind a dotted path, hexadecimal.
 
     The code is that of the module that holds the name, and of every module of the user's own that it imports, directly

@@ -149,11 +149,11 @@ def test_a_metric_of_the_users_whose_code_was_edited_is_computed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(place, "load", lambda _: None)  # a function, whose name is in the path
-    monkeypatch.setattr(place, "source_digest", lambda path: f"first code of {path}")
+    monkeypatch.setattr(place, "code_digest", lambda path: f"first code of {path}")
     mine = job(tmp_path, "metrics=[psnr,my_metrics.bias]")
     finish(mine, metrics=["psnr", "my_metrics.bias"], sources=place.sources_of(mine.settings.metrics))
     assert finished_run(mine) is not None
-    monkeypatch.setattr(place, "source_digest", lambda path: f"second code of {path}")
+    monkeypatch.setattr(place, "code_digest", lambda path: f"second code of {path}")
     assert finished_run(mine) is None
 
 

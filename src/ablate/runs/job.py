@@ -13,7 +13,7 @@ from ablate.setting import check_name, identity
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 if TYPE_CHECKING:
     from ablate.networks import GeneratorSpec
@@ -68,7 +68,7 @@ class Job:
         return {
             "data": about_data(s),
             "encoding": order | ({"seed": s.label_seed} if s.encoding is Encoding.arbitrary else {}),
-            "model": identity(s.model) | ({"source": source_digest(target)} if target else {}),
+            "model": identity(s.model) | ({"source": code_digest(target)} if target else {}),
             "training": training | {"precision": precision_of(s.training).name},
             "training_version": TRAINING_VERSION,
             "evaluation": identity(s.evaluation),

@@ -12,7 +12,7 @@ from ablate.runs.run import Run, State, runs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.storage import known_json, write_json
-from ablate.user_code import load, source_digest
+from ablate.user_code import code_digest, load
 
 
 def check_place(job: Job) -> None:
@@ -100,7 +100,7 @@ def names_of(asked: str | Iterable[str]) -> set[str]:
 def sources_of(asked: str | Iterable[str]) -> dict[str, str]:
     """By the path of each metric of the user's: the name that its values have, and the digest of its code."""
     paths = [name for name in sorted(names_of(asked)) if name not in METRICS and "." in name]
-    return {path: f"{getattr(load(path), 'name', path.rpartition('.')[2])} {source_digest(path)}" for path in paths}
+    return {path: f"{getattr(load(path), 'name', path.rpartition('.')[2])} {code_digest(path)}" for path in paths}
 
 
 def with_earlier_metrics(job: Job) -> StudySettings:

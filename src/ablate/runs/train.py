@@ -32,7 +32,7 @@ from ablate.storage import digest, remove_partial, write_json, write_text, writt
 from ablate.threads import torch_threads
 from ablate.tracking import LocalLog
 from ablate.training import Validation, chosen_device, generated_images, read_checkpoint, train
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 _LOG = logging.getLogger(__name__)
 _OF_ONE_START = ("time", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
@@ -51,7 +51,7 @@ def run_job(job: Job) -> None:
     job.folder.mkdir(parents=True, exist_ok=True)
     with job.run.lock():  # another process may be running the same job
         if finished_run(job) is None:
-            if (target := job.settings.model.target) and source_digest(target) != job.semantic["model"]["source"]:
+            if (target := job.settings.model.target) and code_digest(target) != job.semantic["model"]["source"]:
                 raise ConfigurationError(f"model.target={target}: edited since the sweep began; repeat the command")
             claim_place(job)
             with logged(job), torch_threads(job.settings.training.threads):

@@ -3,6 +3,7 @@
 All images of one state are one picture, so that what stands side by side was seen at the same moment.
 """
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -231,6 +232,11 @@ def line(words: str, colour: str) -> str:
     """A line of HTML; the words are shown as they are."""
     style = f"color:{colour};font-size:0.85em;line-height:1.35;padding:0 0.8em 0.2em;overflow-wrap:anywhere"
     return f'<div style="{style}">{escape(words)}</div>'
+
+
+def in_markdown(words: str) -> str:
+    """Words as they are in Markdown, in which viser runs even scripts: a run or a tissue may be a stranger's."""
+    return re.sub(r"[^\w\s.,:+-]", lambda sign: f"&#{ord(sign[0])};", " ".join(words.split()))
 
 
 def _legend(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:

@@ -15,7 +15,7 @@ from ablate.setting import plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import write_image, write_json, written_whole
 from ablate.viewer.pictures import framed
-from ablate.viewer.session import State, Views
+from ablate.viewer.session import ViewerState, Views
 
 LOOP_S = 5.0
 _LOOP_BYTES = 256e6
@@ -99,7 +99,7 @@ def next_folder(parent: Path, name: str) -> Path:
     return next(folder for k in count(1) if not (folder := parent / f"{name}_{k}").exists())
 
 
-def command_line(settings: StudySettings, state: State, *words: str) -> str:
+def command_line(settings: StudySettings, state: ViewerState, *words: str) -> str:
     """A command line with these words that is composed to the same scene, probe and simulator as a state.
 
     `settings` are those that the viewer was started with.

@@ -34,7 +34,7 @@ class Moving(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ViewerState:
     """Everything that decides what is seen."""
 
     pose: np.ndarray  # (4, 4) float64, probe to world, mm
@@ -51,7 +51,7 @@ class State:
 class Views:
     """What is seen of a state; (H, W) is `state.simulator.image_shape`."""
 
-    state: State
+    state: ViewerState
     target: np.ndarray | None  # (H, W) uint8; None while the probe moves, where the generators render alone
     segmentation: np.ndarray  # (H, W) uint8
     attenuation: np.ndarray  # (H, W) float32
@@ -77,7 +77,7 @@ class Session:
     """
 
     def __init__(
-        self, hand: Hand, state: State, poses: Mapping[str, np.ndarray], submit: Callable[[State], object]
+        self, hand: Hand, state: ViewerState, poses: Mapping[str, np.ndarray], submit: Callable[[ViewerState], object]
     ) -> None:
         self.hand, self.presets, self._submit = hand, dict(poses), submit
         self.state = self.start = state
@@ -132,7 +132,7 @@ class Session:
         self._become(replace(self.state, simulator=replace(self.state.simulator, **changes)))
 
     def show(self, **changes: Any) -> None:
-        """Change the display, the seed or the runs: keys are those of `State`."""
+        """Change the display, the seed or the runs: keys are those of `ViewerState`."""
         self._become(replace(self.state, **changes))
 
     def new_speckle(self) -> None:
@@ -149,7 +149,7 @@ class Session:
         self.state = replace(self.start, runs=self.state.runs)
         self.to_preset(next(iter(self.presets)))
 
-    def _become(self, state: State) -> None:
+    def _become(self, state: ViewerState) -> None:
         self.state = state
         if not self.frozen:
             self._submit(state)

@@ -19,17 +19,18 @@ from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, training_poses
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.ultrasound import TimeGain
-from ablate.viewer.engine import Engine
 from ablate.viewer.generators import first_fitting, pickable
 from ablate.viewer.hand import Hand
 from ablate.viewer.page.operate_tabs import add_hands, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
 from ablate.viewer.page.result_tabs import add_compare_tab, add_keep_tab
+from ablate.viewer.scene_renderer import SceneRenderer
 from ablate.viewer.server import HOST, check_server, open_server
-from ablate.viewer.session import Session, State
+from ablate.viewer.session import Session, ViewerState
 from ablate.viewer.worker import Worker
 
-_CONTROLS_PX, _IMAGES_PX = 290, 640  # widths, for a window of 1366 px
+_CONTROLS_PX = 290  # widths, for a window of 1366 px
+_IMAGES_PX = 640
 _MOST_SITES = 60  # of a list that can be searched by eye
 
 
@@ -64,25 +65,19 @@ class Viewer:
         scene, grid = build_scene(settings)
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
         poses = presets(settings, scene, grid, hand)
-        folder = settings.results if settings.runs is None else Path(settings.runs)
-        if settings.runs is not None and not folder.is_dir():
-            allowed = "allowed is a run, a study or a folder of studies"
-            raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
-        named = np.array(list(poses.values()))
-        patient = settings.simulator.tgc is TimeGain.patient
-        self.worker = Worker(Engine(scene, training_poses(settings, scene, grid, named) if patient else named).render)
-        start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
-        start = replace(start, runs=first_fitting(pickable(folder), scene.tissues, start))
+        runs = runs_folder(settings)
+        of_gain = np.array(list(poses.values()))
+        if settings.simulator.tgc is TimeGain.patient:
+            of_gain = training_poses(settings, scene, grid, of_gain)
+        custom = settings.model.target
+        self.worker = Worker(SceneRenderer(scene, of_gain, custom).render)
+        start = ViewerState(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
+        start = replace(start, runs=first_fitting(pickable(runs), scene.tissues, start, custom))
         self.session = Session(hand, start, poses, self.worker.submit)
-        if settings.pose:
-            self.session.to_pose(np.asarray(read_poses(Path(settings.pose), "pose")[0][0]))
-        elif settings.plane:
-            if (name := settings.plane.replace("_", " ")) not in poses:
-                raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(poses)}")
-            self.session.to_preset(name)
+        go_to_start(self.session, settings)
         self.server = open_server(settings.viewer.port)
         self.page = Page(self.server, settings, scene, self.session)
-        self._fill_page(folder)
+        self._fill_page(runs)
         self._lock = threading.Lock()
         self.worker.pause()
         self.worker.start(self.page.show, self.page.fail)
@@ -96,8 +91,12 @@ class Viewer:
         gui.set_panel_label(f"ablate: {page.settings.scene_name}")
         add_row(page)
         tabs = gui.add_tab_group()
-        contents: dict[str, Callable[[Page], None]] = {"Move": add_move_tab, "Scan": add_scan_tab}
-        contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab}
+        contents: dict[str, Callable[[Page], None]] = {
+            "Move": add_move_tab,
+            "Scan": add_scan_tab,
+            "Compare": partial(add_compare_tab, runs=runs),
+            "Keep": add_keep_tab,
+        }
         for name, add_content in contents.items():
             with tabs.add_tab(name):
                 add_content(page)
@@ -123,25 +122,66 @@ class Viewer:
                 self.worker.resume()
 
 
+def runs_folder(settings: StudySettings) -> Path:
+    """The folder whose generators are offered; a ConfigurationError where `runs=` names none."""
+    if settings.runs is None:
+        return settings.results
+    folder = Path(settings.runs)
+    if not folder.is_dir():
+        allowed = "allowed is a run, a study or a folder of studies"
+        raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
+    return folder
+
+
+def go_to_start(session: Session, settings: StudySettings) -> None:
+    """Go to the pose or the plane that the settings name, if they name one."""
+    if settings.pose:
+        poses, _ = read_poses(Path(settings.pose), "pose")
+        session.to_pose(np.asarray(poses[0]))
+    elif settings.plane:
+        name = settings.plane.replace("_", " ")
+        if name not in session.presets:
+            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(session.presets)}")
+        session.to_preset(name)
+
+
 def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -> dict[str, np.ndarray]:
     """Poses to start from, (4, 4) float64, mm, by name: standard planes of the built-in anatomy.
 
-    Of other scenes: through the middle of each structure but the largest, by the structure's name, and probe sites. If
-    a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane is
-    the first of the grid's rolls. A scene without a structure, or without a usable probe site, is a ValueError.
+    Of other scenes: through the middle of each structure but the largest, by the structure's name, and probe sites.
+
+    Parameters
+    ----------
+    settings : StudySettings
+        Of the job.
+    scene : Scene
+        The body; its structures' names are those of their meshes.
+    grid : SiteGrid
+        If it has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane
+        is the first of the grid's rolls.
+    hand : Hand
+        Finds the poses that look at a structure.
+
+    Raises
+    ------
+    ValueError
+        For a scene without a structure, or without a usable probe site.
     """
     if settings.scene.kind is SceneKind.fetal:
         planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
         return {name.replace("_", " "): pose for name, pose in planes.items()}
     upright = replace(grid, tilts_deg=(0.0,), rolls_deg=grid.rolls_deg[:1])
     placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)
-    named, met = {}, Counter[str]()
+    named: dict[str, np.ndarray] = {}
+    structures_of: Counter[str] = Counter()
     for structure in sorted(scene.structures, key=lambda s: -abs(s.mesh.volume))[1:_MOST_SITES]:
         name = Path(str(structure.mesh.metadata.get("name", structure.tissue.name))).stem.replace("_", " ")
         parts = structure.mesh.split(only_watertight=False)  # one kidney of two, not what lies between them
-        if (pose := hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)) is not None:
-            met[name] += 1
-            named[name if met[name] == 1 else f"{name} {met[name]}"] = pose
+        pose = hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)
+        if pose is not None:
+            structures_of[name] += 1
+            number = structures_of[name]
+            named[name if number == 1 else f"{name} {number}"] = pose
     for i in equally_spaced(np.arange(len(placed.poses)), _MOST_SITES):
         height, angle = divmod(int(placed.sites[i]), len(grid.angles_deg))
         named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = placed.poses[i]

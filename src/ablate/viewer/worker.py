@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from ablate.viewer.session import Quality, State, Views
+from ablate.viewer.session import Quality, ViewerState, Views
 
 #: A probe that has not moved for so long is at rest.
 REST_S = 0.15
@@ -18,11 +18,11 @@ class Worker:
     may be submitted before it is started.
     """
 
-    def __init__(self, compute: Callable[[State, Quality], Views], rest_s: float = REST_S) -> None:
+    def __init__(self, compute: Callable[[ViewerState, Quality], Views], rest_s: float = REST_S) -> None:
         self._compute, self._rest_s = compute, rest_s
         self._changed = threading.Condition()
-        self._slot: State | None = None
-        self._last: State | None = None
+        self._slot: ViewerState | None = None
+        self._last: ViewerState | None = None
         self._asked = 0.0
         self.paused = self._closed = self._waits = False
         self.computed = dict.fromkeys(Quality, 0)
@@ -36,7 +36,7 @@ class Worker:
         self._show, self._fail = show, fail
         self._thread.start()
 
-    def submit(self, state: State) -> None:
+    def submit(self, state: ViewerState) -> None:
         """Ask for the views of a state in place of the one that waits."""
         with self._changed:
             self._slot = self._last = state
@@ -72,7 +72,7 @@ class Worker:
             if self._render(state, Quality.coarse) and self._rests():
                 self._render(state, Quality.full)
 
-    def _next(self) -> State | None:
+    def _next(self) -> ViewerState | None:
         """Wait for a state and take it; None when closed."""
         with self._changed:
             self._waits = True
@@ -90,7 +90,7 @@ class Worker:
     def _interrupted(self) -> bool:
         return self._closed or self._slot is not None
 
-    def _render(self, state: State, quality: Quality) -> bool:
+    def _render(self, state: ViewerState, quality: Quality) -> bool:
         """Compute and show; whether it could be done."""
         try:
             views = self._compute(state, quality)

@@ -12,7 +12,7 @@ from ablate.anatomy import Scene, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_of, fan_outline
 from ablate.viewer.pictures import on_fan
-from ablate.viewer.session import Quality, State, Views
+from ablate.viewer.session import Quality, ViewerState, Views
 
 _UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metres
 _TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
@@ -49,7 +49,7 @@ class Body:
         camera.position, camera.look_at = (place / _UNIT_MM for place in self._front_view[:2])
         camera.up, camera.fov = tuple(axis), np.deg2rad(40.0)
 
-    def hold(self, state: State) -> None:
+    def hold(self, state: ViewerState) -> None:
         """Put the probe where it is held, before there is an image of it."""
         if state.probe != self._probe:
             self._add_probe(state.probe)
@@ -77,7 +77,7 @@ class Body:
         opacity = self.tissues[tissue][0].opacity
         return 1.0 if opacity is None else float(opacity)
 
-    def face(self, client: Any, state: State) -> None:
+    def face(self, client: Any, state: ViewerState) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
         pose, (height, width) = state.pose, fan_of(state.probe).size_mm
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]

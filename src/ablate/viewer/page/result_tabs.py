@@ -13,7 +13,7 @@ from ablate.metrics import patch_chi2, psnr, rms
 from ablate.viewer.calipers import MOST_POINTS, in_plane, measured, on_plane
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
-from ablate.viewer.pictures import label_at
+from ablate.viewer.pictures import in_markdown, label_at
 from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save_frame, save_poses
 from ablate.viewer.session import Views
 
@@ -69,7 +69,9 @@ def _distances(names: Mapping[Path, str], views: Views) -> str:
         if image is not None and views.target is not None:
             near = psnr(views.target, image, mask=views.mask)
             chi2 = rms(patch_chi2(views.target, image))
-            rows.append(f"| {names.get(run, run.name)} | {near:.1f} | {'–' if chi2 is None else f'{chi2:.3f}'} |")
+            rows.append(
+                f"| {in_markdown(names.get(run, run.name))} | {near:.1f} | {'–' if chi2 is None else f'{chi2:.3f}'} |"
+            )
     head = "| to the simulated image | PSNR in the fan (dB) | patch χ² |\n| --- | --- | --- |\n"
     return head + "\n".join(rows) if rows else ""
 
@@ -94,7 +96,7 @@ def _add_calipers(page: Page) -> None:
     def follow(views: Views) -> None:
         if len(seen := in_plane(page.layout.points, views.state.pose)):
             label = label_at(views.segmentation, seen[-1], views.state.probe)
-            tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
+            tissue = in_markdown(page.scene.tissues[label - 1].name.replace("_", " ")) if label else "outside the fan"
             answer.content = measured(seen, tissue, views.state.probe)
         elif len(page.layout.points):
             answer.content = "The points are not on this plane."
