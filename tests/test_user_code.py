@@ -67,6 +67,13 @@ def test_what_is_loaded_keeps_its_digest_while_edited(tmp_path: Path, monkeypatc
     assert code_digest("edited_later.measure") != before
 
 
+def test_a_relative_import_that_leads_nowhere_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "try:\n    from . import part\nexcept ImportError:\n    part = None\ndef measure(): pass\n"
+    write(tmp_path, {"in_no_package.py": code})
+    monkeypatch.syspath_prepend(tmp_path)
+    assert len(code_digest("in_no_package.measure")) == 64
+
+
 @pytest.mark.parametrize(
     ("path", "message"),
     [
