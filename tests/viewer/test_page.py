@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -254,6 +255,30 @@ def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
 def test_what_cannot_be_started_is_refused_in_a_sentence(arguments: list[str], given: list[str], says: str) -> None:
     with pytest.raises((ConfigurationError, ValueError, OSError), match=says.replace(".", r"\.")):
         Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", *given])[0].settings)
+
+
+def test_the_network_that_the_command_line_names_is_the_one_that_generators_may_import(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named: list[object] = []
+
+    class Stop(Exception):
+        pass
+
+    def stop(_: int) -> None:
+        raise Stop
+
+    monkeypatch.setattr("ablate.viewer.task.first_fitting", lambda *given: named.append(given[3]) or ())
+    monkeypatch.setattr(
+        "ablate.viewer.task.SceneRenderer", lambda *given: named.append(given[2]) or SimpleNamespace(render=None)
+    )
+    monkeypatch.setattr("ablate.viewer.task.open_server", stop)
+    port = f"viewer.port={free_port()}"
+    for words, target in (([], None), (["variant=custom", "model.target=torch.nn.Identity"], "torch.nn.Identity")):
+        named.clear()
+        with pytest.raises(Stop):
+            Viewer(jobs_of([*arguments, port, *words])[0].settings)
+        assert named == [target, target]
 
 
 def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:
