@@ -72,15 +72,28 @@ class Views:
 class Session:
     """The probe as it is held, the scanner as it is set, and whether the picture is frozen.
 
-    It starts from a state; reset goes to the first of `poses`, the presets by name. `submit` is called with every new
-    state, unless the picture is frozen. Only one thread at a time may call it.
+    Only one thread at a time may call it.
+
+    Parameters
+    ----------
+    hand : Hand
+        Holds the probe.
+    state : ViewerState
+        Where it starts, but for the pose.
+    poses : mapping of str to (4, 4) float64
+        The presets by name, mm; it starts at the first one, and reset goes back there.
+    submit : callable
+        Called with every new state, unless the picture is frozen.
     """
 
     def __init__(
         self, hand: Hand, state: ViewerState, poses: Mapping[str, np.ndarray], submit: Callable[[ViewerState], object]
     ) -> None:
-        self.hand, self.presets, self._submit = hand, dict(poses), submit
-        self.state = self.start = state
+        self.hand = hand
+        self.presets = dict(poses)
+        self._submit = submit
+        self.start = state
+        self.state = state
         self.frozen = False
         self.words = ""
         self.hold = Hold(0.0, 0.0)
@@ -115,16 +128,18 @@ class Session:
 
     def to_pose(self, pose: np.ndarray) -> None:
         """Hold the probe at a pose, (4, 4), mm; the hold is the one that comes nearest."""
-        self.hold, self.words = self.hand.hold_of(pose), self.hand.judge(pose)
+        self.hold = self.hand.hold_of(pose)
+        self.words = self.hand.judge(pose)
         self._become(replace(self.state, pose=pose, hold=self.hold))
 
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # keys of its kind
         rows, columns = self.start.simulator.image_shape
-        (height, width), (first_height, first_width) = fan_of(probe).size_mm, fan_of(self.start.probe).size_mm
-        shape = rows, max(1, round(columns * (width / height) / (first_width / first_height)))
-        settings = replace(self.state.simulator, image_shape=shape)
+        height, width = fan_of(probe).size_mm
+        first_height, first_width = fan_of(self.start.probe).size_mm
+        columns = max(1, round(columns * (width / height) / (first_width / first_height)))
+        settings = replace(self.state.simulator, image_shape=(rows, columns))
         self._become(replace(self.state, probe=probe, simulator=settings))
 
     def simulate(self, **changes: Any) -> None:

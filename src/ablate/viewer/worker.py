@@ -19,12 +19,15 @@ class Worker:
     """
 
     def __init__(self, compute: Callable[[ViewerState, Quality], Views], rest_s: float = REST_S) -> None:
-        self._compute, self._rest_s = compute, rest_s
+        self._compute = compute
+        self._rest_s = rest_s
         self._changed = threading.Condition()
         self._slot: ViewerState | None = None
         self._last: ViewerState | None = None
         self._asked = 0.0
-        self.paused = self._closed = self._waits = False
+        self.paused = False
+        self._closed = False
+        self._waits = False
         self.computed = dict.fromkeys(Quality, 0)
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
@@ -33,7 +36,8 @@ class Worker:
 
         It calls `fail` when computing or showing raises, and goes on with the next state.
         """
-        self._show, self._fail = show, fail
+        self._show = show
+        self._fail = fail
         self._thread.start()
 
     def submit(self, state: ViewerState) -> None:
@@ -51,7 +55,8 @@ class Worker:
     def resume(self) -> None:
         """Go on, with the last state that was submitted."""
         with self._changed:
-            self.paused, self._slot = False, self._last
+            self.paused = False
+            self._slot = self._last
             self._changed.notify_all()
 
     @property
@@ -68,9 +73,11 @@ class Worker:
         self._thread.join()
 
     def _run(self) -> None:
-        while (state := self._next()) is not None:
+        state = self._next()
+        while state is not None:
             if self._render(state, Quality.coarse) and self._rests():
                 self._render(state, Quality.full)
+            state = self._next()
 
     def _next(self) -> ViewerState | None:
         """Wait for a state and take it; None when closed."""
