@@ -22,9 +22,9 @@ from ablate.storage import read_json, write_json
 from ablate.user_code import UnnamedCodeError
 from ablate.viewer.generators import first_fitting, open_generator, pickable
 from ablate.viewer.page.result_tabs import _distances
-from ablate.viewer.pictures import in_markdown
 from ablate.viewer.scene_renderer import SceneRenderer
 from ablate.viewer.session import Quality
+from ablate.viewer.words import in_markdown
 from support.strangers import (
     CUSTOM,
     RunsCommand,

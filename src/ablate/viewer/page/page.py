@@ -13,9 +13,11 @@ from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
-from ablate.viewer.pictures import BAD, GOOD, Layout, caption, empty_picture, line, screen
+from ablate.viewer.pictures import empty_picture
 from ablate.viewer.records import CineLoop, Sweep
+from ablate.viewer.screen import Layout, screen
 from ablate.viewer.session import FROZEN, Quality, Session, Views
+from ablate.viewer.words import BAD, GOOD, caption, line
 
 Bounds = tuple[float, float, float]
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."

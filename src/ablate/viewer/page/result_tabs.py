@@ -13,9 +13,10 @@ from ablate.metrics import patch_chi2, psnr, rms
 from ablate.viewer.calipers import MOST_POINTS, in_plane, measured, on_plane
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
-from ablate.viewer.pictures import in_markdown, label_at
+from ablate.viewer.pictures import label_at
 from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save_frame, save_poses
 from ablate.viewer.session import Views
+from ablate.viewer.words import in_markdown
 
 _NONE = "none"
 _TRAINS = "No run with weights here. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
