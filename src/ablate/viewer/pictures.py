@@ -53,19 +53,45 @@ def framed(
 
 
 def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe, quality: Quality) -> Image.Image:
-    """A segmentation, (H, W) uint8, each tissue in its colour."""
+    """A segmentation, each tissue in its colour.
+
+    Parameters
+    ----------
+    labels : (H, W) uint8
+        0 outside the fan, i + 1 for the tissue i.
+    colours : sequence of Colour
+        Of the tissues.
+    probe, quality
+        As of `framed`.
+    """
     palette = [round(255 * channel) for colour in ((0.0, 0.0, 0.0), *colours) for channel in colour]
     return framed(labels, labels > 0, probe, quality, palette)
 
 
 def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe, quality: Quality) -> Image.Image:
-    """A map of shares in [0, 1], (H, W), from dark violet (0) to yellow (1)."""
+    """A map of shares, from dark violet (0) to yellow (1).
+
+    Parameters
+    ----------
+    shares : (H, W) float
+        In [0, 1].
+    mask, probe, quality
+        As of `framed`.
+    """
     levels = (1 + 254 * np.clip(shares, 0, 1)).astype(np.uint8)  # 0 is black, outside the fan
     return framed(levels, mask, probe, quality, _INFERNO)
 
 
 def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe, quality: Quality) -> Image.Image:
-    """a - b of two images, (H, W) uint8 each: red where a is brighter, blue where b is, white where they agree."""
+    """a - b of two images: red where a is brighter, blue where b is, white where they agree.
+
+    Parameters
+    ----------
+    a, b : (H, W) uint8
+        Grey levels.
+    mask, probe, quality
+        As of `framed`.
+    """
     levels = np.clip(a.astype(np.int16) - b + 128, 0, 255).astype(np.uint8)
     return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe, quality)
 
