@@ -312,6 +312,20 @@ def test_a_click_on_a_frozen_picture_measures_what_it_shows(client: Client, view
     viewer.page.lay_out(points=np.empty((0, 3)))
 
 
+def test_the_name_of_a_tissue_is_words_on_the_page(
+    client: Client, viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene folder may be a stranger's, and what stands on the page as HTML is run by the browser."""
+    named = [SimpleNamespace(name="<img src=x onerror=go()>") for _ in viewer.page.scene.tissues]
+    monkeypatch.setattr(viewer.page, "scene", SimpleNamespace(tissues=named))
+    held = viewer.session.state.pose
+    seen = held @ (0.0, 0.0, 30.0, 1.0)
+    viewer.page.body.clicked(seen[:3] + 200 * held[:3, 1], -held[:3, 1])
+    client.until(lambda: "onerror" in client.texts() and "30 mm deep" in client.texts())
+    assert "<img" not in client.texts()
+    viewer.page.lay_out(points=np.empty((0, 3)))
+
+
 def test_looking_back_a_frame_that_comes_late_is_not_drawn_over_it(client: Client, viewer: Viewer) -> None:
     for angle in (5.0, 10.0):
         client.set("Around (°)", angle)
