@@ -10,8 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from ablate.comparison.usable_runs import levels_of
-from ablate.jobs.compose import jobs_of
 from tqdm import trange
 
 from ablate.analysis import Design, Verdict, find_design, run_means, verdict_table

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ablate.user_code import load, source_digest
+from ablate.user_code import code_digest, load
 
 FILES = {
     "mine/__init__.py": "from mine.model import Model\n",
@@ -36,7 +36,7 @@ def digest(folder: Path, changes: dict[str, str], path: str = "mine.Model") -> s
         patch.syspath_prepend(folder / "site-packages")
         for name in [name for name in sys.modules if name.partition(".")[0] in OWN]:
             patch.delitem(sys.modules, name)
-        computed = source_digest(path)
+        computed = code_digest(path)
         for name in [name for name in sys.modules if name.partition(".")[0] in OWN]:
             del sys.modules[name]
     return computed
@@ -60,11 +60,18 @@ def test_what_is_loaded_keeps_its_digest_while_edited(tmp_path: Path, monkeypatc
     """A training takes hours; its result is stored under the code that ran."""
     write(tmp_path, {"edited_later.py": "def measure(): pass\n"})
     monkeypatch.syspath_prepend(tmp_path)
-    before = source_digest("edited_later.measure")
+    before = code_digest("edited_later.measure")
     write(tmp_path, {"edited_later.py": "def measure(): return 1\n"})
-    assert source_digest("edited_later.measure") == before
+    assert code_digest("edited_later.measure") == before
     importlib.reload(sys.modules["edited_later"])  # as in a notebook
-    assert source_digest("edited_later.measure") != before
+    assert code_digest("edited_later.measure") != before
+
+
+def test_a_relative_import_that_leads_nowhere_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "try:\n    from . import part\nexcept ImportError:\n    part = None\ndef measure(): pass\n"
+    write(tmp_path, {"in_no_package.py": code})
+    monkeypatch.syspath_prepend(tmp_path)
+    assert len(code_digest("in_no_package.measure")) == 64
 
 
 @pytest.mark.parametrize(
@@ -79,4 +86,4 @@ def test_what_cannot_be_loaded_is_said_in_one_line(path: str, message: str) -> N
     with pytest.raises(ValueError, match=f"^{message}$"):
         load(path)
     with pytest.raises(ValueError, match=f"^{message}$"):
-        source_digest(path)
+        code_digest(path)

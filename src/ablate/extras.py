@@ -13,5 +13,9 @@ def installing(extra: str) -> str:
     """
     if (Path(__file__).parents[2] / "pyproject.toml").exists():
         return f"pip install -e '.[{extra}]'"
-    needs = [line.partition(";") for line in metadata.requires(_NAME) or ()]
-    return " ".join(["pip install", *(f"'{what.strip()}'" for what, _, when in needs if f"'{extra}'" in when)])
+    packages = []
+    for line in metadata.requires(_NAME) or ():
+        package, _, condition = line.partition(";")
+        if f"'{extra}'" in condition:
+            packages.append(f"'{package.strip()}'")
+    return " ".join(["pip install", *packages])

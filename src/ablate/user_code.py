@@ -28,21 +28,54 @@ def load(path: str) -> Any:
     try:
         return getattr(import_module(module), name)
     except (Exception, SystemExit) as error:  # whatever the user's module does
-        raise ValueError(in_one_line(error)) from error
+        raise ValueError(describe_error(error)) from error
 
 
-def in_one_line(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """Describe an error of the user's code: its type and at most 200 characters of its message."""
     return f"{type(error).__name__}: {' '.join(str(error).split()):.200}"
 
 
-def source_digest(path: str) -> str:
+class UnnamedCodeError(ValueError):
+    """A file names code that the user did not name; nothing of it was imported."""
+
+
+def check_named(source: Path, target: object, custom: str | None, key: str) -> None:
+    """Refuse the code that a file names unless the user names it too: reading a result runs no code of its maker.
+
+    Parameters
+    ----------
+    source : Path
+        The file.
+    target : object
+        The dotted path in it; None where it names no code. It may be anything, as its maker wrote it.
+    custom : str or None
+        The dotted path that the user named.
+    key : str
+        What the user names it by, as `custom`.
+
+    Raises
+    ------
+    UnnamedCodeError
+        In one line, where both differ.
+    """
+    if target is not None and target != custom:
+        raise UnnamedCodeError(
+            f"{source}: names code, which is imported only if you name it too; if you trust it, add "
+            f"{key}={target!r:.200}"
+        )
+
+
+def code_digest(path: str) -> str:
     """Compute the SHA-256 of the source code behind a dotted path, hexadecimal.
 
     The code is that of the module that holds the name, and of every module of the user's own that it imports, directly
     or through others. A module is the user's own if its file lies neither in the standard library, nor among the
     installed packages (`site-packages`, `dist-packages`), nor in `ablate`. Names of modules and contents of files enter
     the digest, folders do not. An import whose name is computed when the program runs is not followed.
+
+    All files of the user's folder would be a shorter rule, but then whoever edits a script beside a network could no
+    longer read what he has trained.
 
     The files are read once for as long as the module stays loaded: a file that is edited later is not what runs. What
     cannot be loaded is a ValueError, as in `load`.
@@ -60,9 +93,9 @@ def _digest(*loaded: tuple[ModuleType, int]) -> str:
     to_read = list(files)
     while to_read:
         name = to_read.pop()
-        for imported in _imports(name, files[name]):
+        for imported in _imports(name, files[name]) - files.keys():
             file = _own_file(imported)
-            if file is not None and imported not in files:
+            if file is not None:
                 files[imported] = file
                 to_read.append(imported)
     digest = hashlib.sha256()
@@ -72,19 +105,20 @@ def _digest(*loaded: tuple[ModuleType, int]) -> str:
 
 
 def _imports(name: str, file: Path) -> set[str]:
-    """Names of modules that a source file may import, with the packages that are run for them."""
-    names = {name}
+    """Names that may be modules which a source file imports, with the packages that are run for them and for itself."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    tree = ast.Module([], [])
-    with suppress(SyntaxError, ValueError):  # a compiled module, or a file for another version of Python
-        tree = ast.parse(file.read_bytes())
-    for node in ast.walk(tree):
+    names = {name}
+    try:
+        nodes = list(ast.walk(ast.parse(file.read_bytes())))
+    except (SyntaxError, ValueError):  # a compiled module, or a file for another version of Python
+        nodes = []
+    for node in nodes:
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            module = "." * node.level + (node.module or "")
-            module = resolve_name(module, package) if node.level else module
-            names |= {module} | {f"{module}.{alias.name}" for alias in node.names}  # a module, or a name in one
+            with suppress(ImportError):  # a relative import that leads out of the package
+                module = resolve_name("." * node.level + (node.module or ""), package)
+                names.update([module, *(f"{module}.{alias.name}" for alias in node.names)])
     parts = [name.split(".") for name in names]
     return {".".join(part[:count]) for part in parts for count in range(1, len(part) + 1)}
 
@@ -92,17 +126,22 @@ def _imports(name: str, file: Path) -> set[str]:
 def _own_file(name: str) -> Path | None:
     """File of a module of the user's own; None for other modules, and for a name that is no module."""
     top = name.partition(".")[0]
+    if top in sys.stdlib_module_names:
+        return None
     try:
-        if top in sys.stdlib_module_names or _is_installed(find_spec(top)):  # what others made is not imported for this
+        if _is_installed(find_spec(top)):  # what others made is not imported to find its parts
             return None
         spec = find_spec(name)
     except (Exception, SystemExit):  # a name in a module that is no package, or a package that cannot be imported
         return None
-    has_file = spec is not None and spec.has_location and spec.origin and not _is_installed(spec)
-    return Path(str(spec.origin)) if spec is not None and has_file else None
+    if spec is None or not spec.origin or not spec.has_location or _is_installed(spec):
+        return None
+    return Path(spec.origin)
 
 
 def _is_installed(spec: ModuleSpec | None) -> bool:
     """Whether a module's file lies among the installed packages or in this one."""
-    file = Path(spec.origin) if spec is not None and spec.origin else None
-    return file is not None and (bool(_INSTALLED & set(file.parts)) or file.is_relative_to(_PACKAGE))
+    if spec is None or not spec.origin:
+        return False
+    file = Path(spec.origin)
+    return bool(_INSTALLED & set(file.parts)) or file.is_relative_to(_PACKAGE)

@@ -10,7 +10,7 @@ import pytest
 
 from ablate import user_code
 from ablate.metrics import METRIC_SETS, METRICS, Pair, choose_metrics, evaluate_image
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
 
@@ -45,9 +45,9 @@ def test_the_code_of_a_metric_is_that_of_the_moment_when_it_was_chosen(monkeypat
     monkeypatch.syspath_prepend(tmp_path)
     choose_metrics(["edit_later.bias"])
     (tmp_path / "edit_later.py").write_text("def bias(pair):\n    return 2.0\n")
-    scored_by = source_digest("edit_later.bias")
+    scored_by = code_digest("edit_later.bias")
     user_code._digest.cache_clear()
-    assert scored_by != source_digest("edit_later.bias")
+    assert scored_by != code_digest("edit_later.bias")
 
 
 def test_no_column_of_a_table_stands_for_two(monkeypatch, tmp_path):

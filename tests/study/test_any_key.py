@@ -29,7 +29,7 @@ def usable(jobs: Sequence[Job]) -> ComparableRuns:
 def answered(jobs: Sequence[Job]) -> tuple[StudyResults, tuple[Run, ...]]:
     """The answers of a study whose runs score 20 by default, and 1 more a changed key."""
     for number, job in enumerate(jobs):
-        value = 20 + len(job.changed) + 0.01 * (number % 3) + 1e-6 * number
+        value = 20 + len(job.changed) + 0.01 * (number % 3) + 1e-9 * number
         finish(job, dict.fromkeys(("psnr", "mae", "shadow_contrast", "crps"), value))
     runs = usable(jobs)
     return results_of(runs), runs.all

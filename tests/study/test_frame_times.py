@@ -52,7 +52,7 @@ def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: 
 
 def runs_of(study: Path) -> list[Run]:
     """Every finished training of a folder with all of its scores."""
-    trainings = [one for one in trainings_in(study) if one.is_trained]
+    trainings = sorted((one for one in trainings_in(study) if one.is_trained), key=lambda one: (one.label, one.seed))
     return [Run(one, one.label, {}, tuple(path.name for path in one.score_files())) for one in trainings]
 
 

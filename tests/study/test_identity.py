@@ -143,7 +143,7 @@ def test_another_version_or_edited_code_of_a_metric_is_another_score(
     assert mine.finished
     monkeypatch.setattr("ablate.study.scores.METRICS_VERSION", 99)
     assert [key.metric for key in mine.training.lacking(mine.wanted)] == ["psnr"]
-    monkeypatch.setattr("ablate.study.scores.source_digest", lambda _: "0123456789")
+    monkeypatch.setattr("ablate.study.scores.code_digest", lambda _: "0123456789")
     assert [key.metric for key in mine.training.lacking(mine.wanted)] == ["psnr", "bias"]
 
 

@@ -10,7 +10,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.viewer.session import State
+from ablate.viewer.session import ViewerState
 
 _SKIN, _BONE = Tissue("soft_tissue", 1540, 1.6, 0.5, 0.6, 0.0, 1.0), Tissue("bone", 3200, 6.0, 10.0)
 _CYLINDERS = (
@@ -21,7 +21,7 @@ _CYLINDERS = (
 BODY = Scene(tuple(_CYLINDERS), Tissue("gel"), "body")
 _POSE = np.array([[1.0, 0, 0, 0], [0, 0, 1, -95], [0, -1, 0, 10], [0, 0, 0, 1]])  # x across, y down the body, z into it
 _SIZE = SimulatorSettings(scanlines=16, axial_samples=128, rays=8, layers=3, image_shape=(48, 66))
-STATE = State(_POSE, ConvexProbe(frequency_mhz=3.0), _SIZE, None)
+STATE = ViewerState(_POSE, ConvexProbe(frequency_mhz=3.0), _SIZE, None)
 
 
 def free_port() -> int:

@@ -20,8 +20,9 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
 from ablate.command.compose import jobs_of  # noqa: E402
+from ablate.viewer.server import HOST  # noqa: E402
 from ablate.viewer.session import Quality  # noqa: E402
-from ablate.viewer.task import HOST, Viewer  # noqa: E402
+from ablate.viewer.task import Viewer  # noqa: E402
 from support import viewed_body  # noqa: E402
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]

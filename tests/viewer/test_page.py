@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,10 +23,10 @@ from ablate.settings.study import ConfigurationError, Task
 from ablate.sources.prepare import simulator_of
 from ablate.sources.simulated import build_scene
 from ablate.ultrasound import Simulator
-from ablate.viewer.task import Viewer, check_server
+from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
 from support.viewed_body import free_port, until
-from support.viewer_client import Client, ConnectionClosed
+from support.viewer_client import Client
 
 # Threads of viser's server end a moment after it has been told to stop.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -160,39 +161,6 @@ def test_nonsense_closes_its_connection_and_the_viewer_lives_on(viewer: Viewer) 
         next_one.until(lambda: next_one.captions())
 
 
-def test_it_listens_on_this_machine_alone_and_a_page_of_another_site_is_refused(viewer: Viewer) -> None:
-    assert viewer.server.get_host() == "127.0.0.1"
-    port = viewer.page.settings.viewer.port
-    with Client(port, origin=f"http://127.0.0.1:{port}") as own:
-        own.until(lambda: own.labels)
-    other = Client(port, origin="http://example.org")
-    with pytest.raises(ConnectionClosed, match="another site"), other:
-        other.until(lambda: other.closed) or other.send({})
-    assert not other.labels
-
-
-def test_nobody_can_ask_for_a_tunnel(client: Client, viewer: Viewer) -> None:
-    asked: list[int] = []
-    viewer.server.request_share_url = lambda: asked.append(1)
-    client.send({"type": "ShareUrlRequest"})
-    client.press("Probe: turn clockwise")
-    client.until(lambda: viewer.session.hold.roll_deg == pytest.approx(5.0, abs=0.1))
-    assert not asked
-
-
-def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
-    port = viewer.page.settings.viewer.port
-    sentence = rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
-    with pytest.raises(ConfigurationError, match=sentence):
-        check_server(port)
-
-
-def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.viewer.task.find_spec", lambda _: None)
-    with pytest.raises(ConfigurationError, match=r"pip install -e '\.\[view\]'"):
-        check_server(8090)
-
-
 def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer: Viewer) -> None:
     client.set("Depth (mm)", 100)
     client.until(lambda: viewer.session.state.probe.depth_mm == 100)
@@ -289,6 +257,30 @@ def test_what_cannot_be_started_is_refused_in_a_sentence(arguments: list[str], g
         Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", *given])[0].settings)
 
 
+def test_the_network_that_the_command_line_names_is_the_one_that_generators_may_import(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named: list[object] = []
+
+    class Stop(Exception):
+        pass
+
+    def stop(_: int) -> None:
+        raise Stop
+
+    monkeypatch.setattr("ablate.viewer.task.first_fitting", lambda *given: named.append(given[3]) or ())
+    monkeypatch.setattr(
+        "ablate.viewer.task.SceneRenderer", lambda *given: named.append(given[2]) or SimpleNamespace(render=None)
+    )
+    monkeypatch.setattr("ablate.viewer.task.open_server", stop)
+    port = f"viewer.port={free_port()}"
+    for words, target in (([], None), (["variant=custom", "model.target=torch.nn.Identity"], "torch.nn.Identity")):
+        named.clear()
+        with pytest.raises(Stop):
+            Viewer(jobs_of([*arguments, port, *words])[0].settings)
+        assert named == [target, target]
+
+
 def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:
     (bone,) = viewer.page.body.tissues["bone"]
     assert bone.opacity is None
@@ -317,6 +309,20 @@ def test_a_click_on_a_frozen_picture_measures_what_it_shows(client: Client, view
     viewer.page.paint(shown)
     client.until(lambda: "mm deep" in client.texts() and "not on this plane" not in client.texts())
     viewer.session.freeze(False)
+    viewer.page.lay_out(points=np.empty((0, 3)))
+
+
+def test_the_name_of_a_tissue_is_words_on_the_page(
+    client: Client, viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene folder may be a stranger's, and what stands on the page as HTML is run by the browser."""
+    named = [SimpleNamespace(name="<img src=x onerror=go()>") for _ in viewer.page.scene.tissues]
+    monkeypatch.setattr(viewer.page, "scene", SimpleNamespace(tissues=named))
+    held = viewer.session.state.pose
+    seen = held @ (0.0, 0.0, 30.0, 1.0)
+    viewer.page.body.clicked(seen[:3] + 200 * held[:3, 1], -held[:3, 1])
+    client.until(lambda: "onerror" in client.texts() and "30 mm deep" in client.texts())
+    assert "<img" not in client.texts()
     viewer.page.lay_out(points=np.empty((0, 3)))
 
 

@@ -6,7 +6,6 @@ from PIL import Image
 
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.viewer.pictures import (
-    _mosaic,
     difference_picture,
     framed,
     label_at,
@@ -14,6 +13,7 @@ from ablate.viewer.pictures import (
     mark,
     share_picture,
 )
+from ablate.viewer.screen import _mosaic
 from ablate.viewer.session import Quality
 
 PROBE = ConvexProbe()

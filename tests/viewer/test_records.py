@@ -11,9 +11,9 @@ import trimesh
 from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.command.compose import jobs_of
 from ablate.ultrasound import TimeGain
-from ablate.viewer.engine import Engine
 from ablate.viewer.records import Sweep, command_line
-from ablate.viewer.session import Quality, State
+from ablate.viewer.scene_renderer import SceneRenderer
+from ablate.viewer.session import Quality, ViewerState
 from support.viewed_body import BODY, STATE
 
 
@@ -29,7 +29,7 @@ from support.viewed_body import BODY, STATE
 )
 def test_a_command_line_is_composed_to_the_probe_and_simulator_that_were_seen(words: list[str]) -> None:
     settings = jobs_of(["task=view", *words])[0].settings
-    line = command_line(settings, State(STATE.pose, settings.probe, settings.simulator), "task=render")
+    line = command_line(settings, ViewerState(STATE.pose, settings.probe, settings.simulator), "task=render")
     again = jobs_of(shlex.split(line)[3:])[0].settings
     assert (again.probe, again.simulator, again.scene) == (settings.probe, settings.simulator, settings.scene)
 
@@ -39,7 +39,7 @@ def test_after_a_change_of_depth_the_pulse_is_still_the_one_that_was_seen(kind: 
     """By default it follows from the size of the frame."""
     settings = jobs_of(["task=view", f"probe={kind}"])[0].settings
     probe = replace(settings.probe, depth_mm=depth_mm)
-    line = command_line(settings, State(STATE.pose, probe, settings.simulator), "task=render")
+    line = command_line(settings, ViewerState(STATE.pose, probe, settings.simulator), "task=render")
     again = jobs_of(shlex.split(line)[3:])[0].settings
     assert (again.probe, again.simulator) == (probe, settings.simulator)
 
@@ -50,13 +50,13 @@ def test_a_command_line_names_a_folder_whatever_its_name_is(tmp_path: Path) -> N
     trimesh.creation.icosphere(radius=30).export(folder / "liver.stl")
     settings = jobs_of(["task=view"])[0].settings
     settings = replace(settings, scene=replace(settings.scene, kind="folder", folder=str(folder)), runs_dir=str(runs))
-    line = command_line(settings, State(STATE.pose, settings.probe, settings.simulator), "task=render")
+    line = command_line(settings, ViewerState(STATE.pose, settings.probe, settings.simulator), "task=render")
     again = jobs_of(shlex.split(line)[3:])[0].settings
     assert (again.scene.folder, again.runs_dir) == (str(folder), str(runs))
 
 
 def test_a_sweep_keeps_the_pose_of_every_image_that_is_shown() -> None:
-    views = Engine(BODY, STATE.pose[None]).render(STATE, Quality.full)
+    views = SceneRenderer(BODY, STATE.pose[None]).render(STATE, Quality.full)
     assert views.target is not None
     sweep = Sweep()
     sweep.add(replace(views, target=None, generated=(None, views.target)))
@@ -69,6 +69,6 @@ def test_a_scene_where_nothing_scatters_is_shown() -> None:
     ball = Structure(trimesh.creation.icosphere(radius=80), tissues["urine"])
     scene = Scene((ball,), tissues["coupling_gel"], "a ball of fluid")
     state = replace(STATE, simulator=replace(STATE.simulator, tgc=TimeGain.patient))
-    views = Engine(scene, STATE.pose[None]).render(state, Quality.full)
+    views = SceneRenderer(scene, STATE.pose[None]).render(state, Quality.full)
     assert views.target is not None
     assert views.target[views.mask].any()

@@ -8,20 +8,20 @@ import pytest
 
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.hand import Hand, Hold
-from ablate.viewer.session import OFF_BODY, Session, State
+from ablate.viewer.session import OFF_BODY, Session, ViewerState
 from support.viewed_body import BODY, STATE
 
-Start = Callable[[], tuple[Session, list[State]]]
+Start = Callable[[], tuple[Session, list[ViewerState]]]
 
 
 @pytest.fixture
 def start() -> Start:
     """A new session with two presets, and the states that it asks for."""
 
-    def make() -> tuple[Session, list[State]]:
+    def make() -> tuple[Session, list[ViewerState]]:
         hand = Hand(BODY, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 5.0, STATE.probe)
         places = {name: hand.place(hold) for name, hold in (("front", Hold(0, 0)), ("side", Hold(20, 60, 90, 5)))}
-        asked: list[State] = []
+        asked: list[ViewerState] = []
         return Session(hand, STATE, {n: h[0] for n, h in places.items() if h is not None}, asked.append), asked
 
     return make

@@ -11,7 +11,7 @@ from pkgutil import walk_packages
 from ablate import metrics as package
 from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, Pair, Shown, is_bound
 from ablate.setting import check_name
-from ablate.user_code import load, source_digest
+from ablate.user_code import code_digest, load
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
 #: made anew.
@@ -115,7 +115,7 @@ def _imported(path: str) -> Metric:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
         named = load(path)
-        source_digest(path)  # read now: a file that is edited later is not what runs
+        code_digest(path)  # read now: a file that is edited later is not what runs
     except ValueError as error:
         raise ValueError(f"metrics={path}: {error}; {_allowed()}") from error
     metric = named if isinstance(named, Metric) else Metric(path.rpartition(".")[2], of_image=named)

@@ -30,7 +30,7 @@ from ablate.networks.spec import (
     input_channels,
     scaled,
 )
-from ablate.user_code import in_one_line, load
+from ablate.user_code import describe_error, load
 
 # Channels at full, half, quarter ... resolution; deeper levels stay at the last.
 LOCAL_WIDTHS = (64, 128, 128, 256, 512)
@@ -225,7 +225,9 @@ class CustomNetwork(nn.Module):
         try:
             self.inner: nn.Module = network_class(channels)
         except (Exception, SystemExit) as error:  # whatever the user's class does
-            raise ValueError(f"target={self.target}: {self.target}({channels}) fails: {in_one_line(error)}") from error
+            raise ValueError(
+                f"target={self.target}: {self.target}({channels}) fails: {describe_error(error)}"
+            ) from error
 
     def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
         """Render (N, inputs, H, W) to (N, 1, H, W); H and W are multiples of 2^depth."""
@@ -262,7 +264,7 @@ def check_custom(spec: GeneratorSpec, side: int) -> None:
     except ValueError:
         raise
     except (Exception, SystemExit) as error:  # whatever the user's class does
-        fail = f"two images of {side} x {side} px fail: {in_one_line(error)}"
+        fail = f"two images of {side} x {side} px fail: {describe_error(error)}"
         raise ValueError(f"target={spec.target}: {fail}") from error
     if wrong:
         raise ValueError(f"target={spec.target}: returns {wrong}, allowed are float32 numbers in [-1, 1]")

@@ -17,6 +17,7 @@ from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
 from ablate.ultrasound import Beam, Frame, Probe, SimulatorSettings, scan_converter
 from ablate.ultrasound.settings import probe_from
+from ablate.user_code import UnnamedCodeError, check_named
 
 #: The key of the values outside the fan.
 OUTSIDE = ""
@@ -56,43 +57,65 @@ class Renderer:
     ) -> np.ndarray:
         """Render a frame from its maps, in the space that the generator works in; its image is not read.
 
-        Returns grey levels, (H, W) uint8, 0 outside the fan. A ValueError for a tissue or a probe that was not in the
-        training. A frame made elsewhere does not tell its probe, and is refused only for another shape of the fan.
-
         Parameters
         ----------
+        frame : Frame
+            One made elsewhere does not tell its probe, and is refused only for another shape of the fan.
         tissues : sequence of Tissue
             Behind the labels 1, 2, ... of the frame's segmentation, as `Scene.tissues`.
         seed : int
             Of the noise: another seed gives other speckle.
+        precision : TrainingPrecision
+            Of the convolutions.
+
+        Returns
+        -------
+        (H, W) uint8
+            Grey levels, 0 outside the fan.
+
+        Raises
+        ------
+        ValueError
+            For a tissue or a probe that was not in the training.
         """
+        values = self._values_of_labels(tissues)
+        largest_label = int(frame.segmentation.max(initial=0))
+        if largest_label > len(tissues):
+            raise ValueError(f"the frame has a label {largest_label}, and there are {len(tissues)} tissues")
+        if frame.probe not in (None, self.probe):
+            raise ValueError(f"the frame is one of {frame.probe}, the generator was trained with {self.probe}")
+        space = self.generator.spec.space
+        if space is Space.beam and frame.beam is None:
+            raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
+        beam = frame.beam or Beam(frame.segmentation, frame.attenuation)  # which a generator of images does not read
+        rows, lines = beam.segmentation.shape
+        converter = scan_converter(self.probe, (rows, lines), (frame.mask.shape[0], frame.mask.shape[1]))
+        if (converter.mask != frame.mask).mean() > _LEAST_APART:
+            raise ValueError(f"the frame has another fan than the probe of the training, {self.probe}")
+        maps = dataset.maps_read(
+            conditions(self.generator.spec),
+            space,
+            (frame.segmentation, frame.attenuation, beam),
+            self.probe,
+            self.simulator.time_gain,
+        )
+        mask = np.ones((rows, lines), bool) if space is Space.beam else frame.mask
+        inputs = dataset.network_inputs({name: value[None] for name, value in maps.items()}, values, mask)
+        noise_seed = torch.tensor([seed], dtype=torch.int64)
+        return generate(self.generator, inputs, torch.from_numpy(mask), noise_seed, precision, converter)[0]
+
+    def _values_of_labels(self, tissues: Sequence[Tissue]) -> np.ndarray:
+        """What the generator reads for the labels 0, 1, ..., (labels, channels) float32."""
         unknown = [tissue.name for tissue in tissues if tissue.name not in self.values]
         if unknown:
             trained_on = ", ".join(name for name in self.values if name != OUTSIDE)
             raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {trained_on}")
         values = np.asarray([self.values[OUTSIDE], *(self.values[tissue.name] for tissue in tissues)], np.float32)
-        own = dataset.label_values(tissues, dataset.Encoding.properties)
-        for tissue, here, known in zip(tissues, own[1:], values[1:], strict=True):
-            if here.shape == known.shape and not np.allclose(here, known, atol=1e-4):
+        of_properties = dataset.label_values(tissues, dataset.Encoding.properties)
+        for tissue, expected, trained in zip(tissues, of_properties[1:], values[1:], strict=True):
+            if expected.shape == trained.shape and not np.allclose(expected, trained, atol=1e-4):
                 raise ValueError(f"tissue {tissue.name!r}: its properties are not those of the training")
-        if (largest := int(frame.segmentation.max(initial=0))) > len(tissues):
-            raise ValueError(f"the frame has a label {largest}, and there are {len(tissues)} tissues")
-        if frame.probe not in (None, self.probe):
-            raise ValueError(f"the frame is one of {frame.probe}, the generator was trained with {self.probe}")
-        space, mask = self.generator.spec.space, frame.mask
-        beam = frame.beam or Beam(frame.segmentation, frame.attenuation)  # which a generator of images does not read
-        if space is Space.beam and frame.beam is None:
-            raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
-        rows, lines = beam.segmentation.shape
-        converter = scan_converter(self.probe, (rows, lines), (mask.shape[0], mask.shape[1]))
-        if (converter.mask != mask).mean() > _LEAST_APART:
-            raise ValueError(f"the frame has another fan than the probe of the training, {self.probe}")
-        mask = np.ones((rows, lines), bool) if space is Space.beam else mask
-        maps = frame.segmentation, frame.attenuation, beam
-        read = dataset.maps_read(conditions(self.generator.spec), space, maps, self.probe, self.simulator.time_gain)
-        inputs = dataset.network_inputs({name: value[None] for name, value in read.items()}, values, mask)
-        noise_seed = torch.tensor([seed], dtype=torch.int64)
-        return generate(self.generator, inputs, torch.from_numpy(mask), noise_seed, precision, converter)[0]
+        return values
 
 
 def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[float, ...]]:
@@ -101,13 +124,17 @@ def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[
     return dict(zip(names, map(tuple, values.tolist()), strict=True))
 
 
-def load(name: str | Path) -> Renderer:
+def load(name: str | Path, custom: str | None = None) -> Renderer:
     """Load a trained generator, on the CPU: one of `NAMES`, or a file that `save` wrote.
+
+    A file of somebody else runs no code. One of a network of its maker's own names a class, as
+    `my_package.MyGenerator`, which is imported only if `custom` names it too.
 
     Raises
     ------
     ValueError
-        For another name, and where a file is not one of a trained generator.
+        For another name, where a file is not one of a trained generator, and where it names a class that `custom` does
+        not name.
 
     Examples
     --------
@@ -121,13 +148,26 @@ def load(name: str | Path) -> Renderer:
         raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and files that `save` wrote")
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        generator = Generator(GeneratorSpec(**content["spec"]))
-        generator.load_state_dict(content["weights"])
-        values = {name: tuple(of_tissue) for name, of_tissue in content["values"].items()}
-        frames = probe_from(content["probe"]), SimulatorSettings(**content["simulator"])
-        return Renderer(generator.eval(), values, *frames, content["made"])
+        target = dict(content["spec"]).get("target")
+        check_named(path, target, custom, "custom")
+        return _renderer_of(content)
+    except UnnamedCodeError:
+        raise
     except Exception as error:
         raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
+
+
+def _renderer_of(content: Mapping[str, Any]) -> Renderer:
+    """The renderer whose file holds this."""
+    generator = Generator(GeneratorSpec(**content["spec"]))
+    generator.load_state_dict(content["weights"])
+    return Renderer(
+        generator=generator.eval(),
+        values={name: tuple(of_tissue) for name, of_tissue in content["values"].items()},
+        probe=probe_from(content["probe"]),
+        simulator=SimulatorSettings(**content["simulator"]),
+        made=content["made"],
+    )
 
 
 def save(renderer: Renderer, path: Path) -> None:
@@ -140,6 +180,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "simulator": plain(renderer.simulator),
         "made": dict(renderer.made),
     }
-    torch.save(content, held := BytesIO())  # to a path, a full disk is a RuntimeError
+    written = BytesIO()
+    torch.save(content, written)  # to a path, a full disk is a RuntimeError
     with written_whole(path) as partial:
-        partial.write_bytes(held.getbuffer())
+        partial.write_bytes(written.getbuffer())

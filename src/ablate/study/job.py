@@ -13,7 +13,7 @@ from ablate.setting import check_name, identity
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 if TYPE_CHECKING:
     from ablate.networks import GeneratorSpec
@@ -57,7 +57,7 @@ class Job:
             encoding["seed"] = settings.label_seed
         model = identity(settings.model)
         if settings.model.target:
-            model["source"] = source_digest(settings.model.target)
+            model["source"] = code_digest(settings.model.target)
         training = identity(settings.training)
         training["precision"] = precision_of(settings.training).name
         if not settings.training.has_discriminator:

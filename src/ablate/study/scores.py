@@ -21,7 +21,7 @@ from ablate.evaluation import Scores
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
 from ablate.storage import remove_partial, written_whole
-from ablate.user_code import load, source_digest
+from ablate.user_code import code_digest, load
 
 _METADATA = b"ablate"
 _SHORT = 8  # hexadecimal digits of digests in the names of files
@@ -81,7 +81,7 @@ def wanted_scores(asked: str | Iterable[str], evaluation: EvaluationSettings, pi
             metric, source = METRICS[name], f"v{METRICS_VERSION}"
         else:
             load(name)
-            metric, source = metric_of(_own_name(name)), source_digest(name)[:_SHORT]
+            metric, source = metric_of(_own_name(name)), code_digest(name)[:_SHORT]
         if metric.uses(FeatureKind.inception) and evaluation.inception is None:
             continue
         keys.append(ScoreKey(metric.name, source, evaluation.noise_draws, pixels, asked=name))

@@ -31,7 +31,7 @@ from ablate.study.scores import ScoreKey, by_metric, wanted_scores, write_score
 from ablate.study.training import Training, claim
 from ablate.threads import torch_threads
 from ablate.training import TrainedGenerator, Validation, chosen_device, generated_images, train
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 _LOG = logging.getLogger(__name__)
 _VALIDATION_FRAMES = 16
@@ -53,7 +53,7 @@ def do(job: Job) -> None:
         if job.finished:
             return
         target = job.settings.model.target
-        if target and source_digest(target) != job.identity["model"]["source"]:
+        if target and code_digest(target) != job.identity["model"]["source"]:
             raise ConfigurationError(f"model.target={target}: edited since the sweep began; repeat the command")
         with _logged(job, training.folder), torch_threads(job.settings.training.threads):
             _train_and_score(job, Training(training.folder))

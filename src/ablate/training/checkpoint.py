@@ -7,7 +7,7 @@ import torch
 
 from ablate.networks import Generator, GeneratorSpec
 from ablate.training.settings import TrainingSettings
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def load_generator(path: Path) -> Generator:
     """
     checkpoint = read_checkpoint(path)
     target = checkpoint.get("hyper_parameters", {}).get("spec", {}).get("target")
-    if target is not None and source_digest(target) != checkpoint.get("target_source"):
+    if target is not None and code_digest(target) != checkpoint.get("target_source"):
         raise ValueError(f"{path}: the code of {target} is not that of the training: restore it, or train again")
     try:
         made, weights = checkpoint["hyper_parameters"], checkpoint["state_dict"].items()

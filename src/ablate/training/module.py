@@ -23,7 +23,7 @@ from ablate.networks import (
 )
 from ablate.setting import plain
 from ablate.training.settings import TRAINING_VERSION, AdversarialLoss, Reconstruction, TrainingSettings
-from ablate.user_code import source_digest
+from ablate.user_code import code_digest
 
 # The seeds of a batch lie below 2^62 (`Crops`), so with this bit no second draw repeats a first one.
 SECOND_DRAW = 1 << 62
@@ -157,7 +157,7 @@ class PairGAN(LightningModule):
             "steps_done": self.steps_done,
             "summed": ({name: float(total) for name, total in self._sums.items()}, self._steps_summed),
             "hyper_parameters": {"spec": plain(self.spec), "settings": plain(self.settings)},
-            "target_source": None if self.spec.target is None else source_digest(self.spec.target),
+            "target_source": None if self.spec.target is None else code_digest(self.spec.target),
             "training_version": TRAINING_VERSION,
         }
 

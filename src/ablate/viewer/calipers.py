@@ -43,22 +43,34 @@ def lines(points: np.ndarray) -> list[np.ndarray]:
 
 def measured(points: np.ndarray, tissue: str, probe: Probe) -> str:
     """The last point's `tissue` and depth, and what so many points measure, in Markdown; points are in the plane."""
-    depth_mm = float(fan_of(probe).polar(*(np.asarray(place) for place in points[-1]))[0])
-    said = f"**{tissue}**, {depth_mm:.0f} mm deep. "
+    x, z = points[-1]
+    depth_mm = float(fan_of(probe).polar(np.asarray(x), np.asarray(z))[0])
+    words = f"**{tissue}**, {depth_mm:.0f} mm deep. "
     if len(points) == 2:
-        said += f"Distance **{math.dist(*points):.1f} mm**."
+        words += f"Distance **{math.dist(*points):.1f} mm**."
     elif len(points) == 3:
-        one, other = points[0] - points[1], points[2] - points[1]
-        turn = abs(math.atan2(one[0] * other[1] - one[1] * other[0], float(one @ other)))
-        said += f"Angle at the second point **{math.degrees(turn):.0f}°**."
+        words += f"Angle at the second point **{math.degrees(_angle(points)):.0f}°**."
     elif len(points) == MOST_POINTS:
-        axes = math.dist(*points[:2]), math.dist(*points[2:])
-        along, across = points[1] - points[0], points[3] - points[2]
-        apart = math.dist(points[:2].mean(axis=0), points[2:].mean(axis=0))
-        said += f"Axes **{axes[0]:.1f}** and **{axes[1]:.1f} mm**, circumference **{circumference(points):.0f} mm**."
-        if abs(along @ across) > _SKEW * math.prod(axes) or apart > _SKEW * min(axes):
-            said += " The axes are not perpendicular, or do not cross in their middles: this is not their ellipse."
-    return said
+        first_mm, second_mm = math.dist(*points[:2]), math.dist(*points[2:])
+        words += f"Axes **{first_mm:.1f}** and **{second_mm:.1f} mm**, "
+        words += f"circumference **{circumference(points):.0f} mm**."
+        if not _are_axes(points):
+            words += " The axes are not perpendicular, or do not cross in their middles: this is not their ellipse."
+    return words
+
+
+def _angle(points: np.ndarray) -> float:
+    """The angle at the second of three points, rad, in [0, pi]."""
+    first, second = points[0] - points[1], points[2] - points[1]
+    return abs(math.atan2(first[0] * second[1] - first[1] * second[0], float(first @ second)))
+
+
+def _are_axes(points: np.ndarray) -> bool:
+    """Whether four points can be the ends of the axes of an ellipse."""
+    first, second = points[1] - points[0], points[3] - points[2]
+    lengths = math.hypot(*first), math.hypot(*second)
+    apart = math.dist(points[:2].mean(axis=0), points[2:].mean(axis=0))
+    return abs(first @ second) <= _SKEW * math.prod(lengths) and apart <= _SKEW * min(lengths)
 
 
 def circumference(points: np.ndarray) -> float:

@@ -33,22 +33,35 @@ class Hold:
 
 
 class Hand:
-    """Holds the probe on the skin of a scene, the deepest part of its face pressed in by `press_mm`.
+    """Holds the probe on the skin of a scene.
 
-    `axis` is the long axis of the body, and `front` the side that angle 0 looks at.
+    Parameters
+    ----------
+    scene : Scene
+        The body.
+    axis : (3,) tuple of float
+        Its long axis.
+    front : (3,) tuple of float
+        The side that angle 0 looks at.
+    press_mm : float
+        How far the deepest part of the face is pressed in.
+    probe : Probe
+        The probe that is held.
     """
 
     def __init__(
         self, scene: Scene, axis: tuple[float, ...], front: tuple[float, ...], press_mm: float, probe: Probe
     ) -> None:
-        self._skin, self._press_mm, self._probe = Skin(scene), press_mm, probe
+        self._skin = Skin(scene)
+        self._press_mm = press_mm
+        self._probe = probe
         self.axis = unitize(np.asarray(axis, float))
         across = np.asarray(front, float)
         self.front = unitize(across - self.axis * (across @ self.axis))
         self._side = np.cross(self.axis, self.front)
         corners = bounds_mm(s.mesh for s in scene.structures)
         along = np.stack(np.meshgrid(*corners.T), axis=-1).reshape(-1, 3) @ self.axis
-        self.heights_mm = float(along.min()), float(along.max())
+        self.heights_mm = (float(along.min()), float(along.max()))
 
     def place(self, hold: Hold) -> tuple[np.ndarray, str] | None:
         """Press the probe on the skin; None where the body has no skin at that height and angle.
@@ -70,19 +83,28 @@ class Hand:
         None if at every angle a part of the face is off the skin or on bone or gas, the point is deeper than the image,
         or the probe would be turned by more than `_MOST_TURNED_DEG`.
         """
-        found = []
-        for angle in angles_deg:
-            hold, away = Hold(self.site_of(point)[0], float(angle)), np.zeros(3)
-            for _ in range(_SEARCHES):
-                if (held := self.place(hold)) is not None:
-                    away = (point - held[0][:3, 3]) @ held[0][:3, :3]
-                    rock, tilt = np.rad2deg(np.arctan2(away[:2], away[2]))
-                    hold = replace(hold, rock_deg=hold.rock_deg + float(rock), tilt_deg=hold.tilt_deg - float(tilt))
-            on_axis = np.hypot(*away[:2]) < 1 and 0 < away[2] < self._probe.depth_mm
-            turned = max(abs(hold.rock_deg), abs(hold.tilt_deg))
-            if held is not None and not held[1] and on_axis and turned <= _MOST_TURNED_DEG:
-                found.append((float(away[2]), held[0]))
-        return min(found, key=lambda one: one[0])[1] if found else None
+        aimed = [self._aim_from(point, float(angle)) for angle in angles_deg]
+        usable = [depth_and_pose for depth_and_pose in aimed if depth_and_pose is not None]
+        return min(usable, key=lambda depth_and_pose: depth_and_pose[0])[1] if usable else None
+
+    def _aim_from(self, point: np.ndarray, angle_deg: float) -> tuple[float, np.ndarray] | None:
+        """The depth of a point, mm, and the pose that looks at it from one angle; None as for `aim`."""
+        hold = Hold(self.site_of(point)[0], angle_deg)
+        away = np.zeros(3)
+        for _ in range(_SEARCHES):
+            placed = self.place(hold)
+            if placed is not None:
+                pose, _ = placed
+                away = (point - pose[:3, 3]) @ pose[:3, :3]
+                rock, tilt = np.rad2deg(np.arctan2(away[:2], away[2]))
+                hold = replace(hold, rock_deg=hold.rock_deg + float(rock), tilt_deg=hold.tilt_deg - float(tilt))
+        if placed is None:
+            return None
+        pose, words = placed
+        depth_mm = float(away[2])
+        on_axis = np.hypot(*away[:2]) < 1 and 0 < depth_mm < self._probe.depth_mm
+        turned_deg = max(abs(hold.rock_deg), abs(hold.tilt_deg))
+        return (depth_mm, pose) if not words and on_axis and turned_deg <= _MOST_TURNED_DEG else None
 
     def judge(self, pose: np.ndarray) -> str:
         """Say what is wrong with the contact of a pose that was not pressed; empty if nothing is."""

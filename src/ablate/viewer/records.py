@@ -3,6 +3,7 @@
 import json
 import shlex
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -15,11 +16,13 @@ from ablate.setting import plain
 from ablate.settings.study import StudySettings
 from ablate.storage import write_image, write_json, written_whole
 from ablate.viewer.pictures import framed
-from ablate.viewer.session import State, Views
+from ablate.viewer.session import ViewerState, Views
 
 LOOP_S = 5.0
 _LOOP_BYTES = 256e6
 _SECTIONS = ("scene", "probe", "simulator", "dataset")
+_OF_DATASET = ("seed", "press_mm")  # what decides a frame that is rendered alone
+_CHOSEN_BEFORE = {"kind", "folder"}  # keys that a command line begins with
 
 
 class CineLoop(deque[Views]):
@@ -45,11 +48,12 @@ class Sweep(list[tuple[np.ndarray, Image.Image, float]]):
 
     def add(self, views: Views) -> None:
         """Record a frame; at rest its full quality replaces the coarse one."""
-        if (image := views.image) is not None:
-            picture = framed(image, views.mask, views.state.probe)
-            again = bool(self) and np.array_equal(self[-1][0], views.state.pose)
-            at_s = self.pop()[2] if again else views.at_s
-            self.append((views.state.pose, picture, at_s))
+        if views.image is None:
+            return
+        picture = framed(views.image, views.mask, views.state.probe)
+        is_last_pose = bool(self) and np.array_equal(self[-1][0], views.state.pose)
+        at_s = self.pop()[2] if is_last_pose else views.at_s
+        self.append((views.state.pose, picture, at_s))
 
     def save(self, folder: Path) -> Path:
         """Write `sweep.gif` at the speed of the recording and `poses.npy`, (n, 4, 4) float64, and return its path.
@@ -75,15 +79,27 @@ def save_frame(folder: Path, views: Views) -> None:
     """
     state = views.state
     save_poses(folder / "pose.npy", state.pose)
-    maps = {"simulated": views.target, "segmentation": views.segmentation}
-    maps["attenuation"] = np.rint(65535 * views.attenuation).astype(np.uint16)
-    maps |= {f"generated_{k}": image for k, image in enumerate(views.generated)}
-    for name, image in ((name, image) for name, image in maps.items() if image is not None):
-        write_image(folder / f"{name}.png", image)
-    described = {name: plain(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
-    described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
-    described |= {"time_gain_db": views.time_gain_db}  # the curve of tgc=patient
-    write_json(folder / "frame.json", {"pose": state.pose.tolist()} | described)
+    images = {
+        "simulated": views.target,
+        "segmentation": views.segmentation,
+        "attenuation": np.rint(65535 * views.attenuation).astype(np.uint16),
+    }
+    images |= {f"generated_{k}": image for k, image in enumerate(views.generated)}
+    for name, image in images.items():
+        if image is not None:
+            write_image(folder / f"{name}.png", image)
+    described = {
+        "pose": state.pose.tolist(),
+        "hold": plain(state.hold),
+        "probe": plain(state.probe),
+        "simulator": plain(state.simulator),
+        "display": plain(state.display),
+        "seed": state.seed,
+        "runs": [str(run) for run in state.runs],
+        "quality": views.quality.value,
+        "time_gain_db": views.time_gain_db,  # the curve of tgc=patient
+    }
+    write_json(folder / "frame.json", described)
 
 
 def save_poses(file: Path, poses: np.ndarray) -> Path:
@@ -96,10 +112,11 @@ def save_poses(file: Path, poses: np.ndarray) -> Path:
 
 def next_folder(parent: Path, name: str) -> Path:
     """The first of `name_1`, `name_2`, ... that does not exist yet."""
-    return next(folder for k in count(1) if not (folder := parent / f"{name}_{k}").exists())
+    folders = (parent / f"{name}_{k}" for k in count(1))
+    return next(folder for folder in folders if not folder.exists())
 
 
-def command_line(settings: StudySettings, state: State, *words: str) -> str:
+def command_line(settings: StudySettings, state: ViewerState, *words: str) -> str:
     """A command line with these words that is composed to the same scene, probe and simulator as a state.
 
     `settings` are those that the viewer was started with.
@@ -110,14 +127,26 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
         overrides.append(f"scene.folder={quoted(Path(wanted.scene.folder).resolve())}")
     if wanted.runs_dir != StudySettings.runs_dir:
         overrides.append(f"runs_dir={quoted(wanted.runs_dir)}")
-    given: dict[str, str] = {}
+    changed: dict[str, str] = {}
     for _ in range(2):  # what follows from a value that is not given, as the pulse from the depth, differs only then
-        made = job_of([*overrides, *(f"{key}={text}" for key, text in given.items()), "task=describe"]).settings
-        for section in _SECTIONS:
-            asked, known = plain(getattr(wanted, section)), plain(getattr(made, section))
-            for name in ("seed", "press_mm") if section == "dataset" else sorted(asked.keys() - {"kind", "folder"}):
-                if (value := asked[name]) != known[name]:
-                    text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
-                    given[f"{section}.{name}"] = text
-    overrides += [f"{key}={text}" for key, text in given.items()]
-    return shlex.join(["python", "-m", "ablate", *words, *overrides])
+        composed = job_of([*overrides, *_assignments(changed), "task=describe"]).settings
+        changed |= _differing(wanted, composed)
+    return shlex.join(["python", "-m", "ablate", *words, *overrides, *_assignments(changed)])
+
+
+def _assignments(values: Mapping[str, str]) -> list[str]:
+    return [f"{key}={text}" for key, text in values.items()]
+
+
+def _differing(wanted: StudySettings, composed: StudySettings) -> dict[str, str]:
+    """The keys of what is seen whose values are not the wanted ones, with the wanted ones as Hydra reads them."""
+    differing = {}
+    for section in _SECTIONS:
+        values, composed_values = plain(getattr(wanted, section)), plain(getattr(composed, section))
+        names = _OF_DATASET if section == "dataset" else sorted(values.keys() - _CHOSEN_BEFORE)
+        for name in names:
+            value = values[name]
+            if value != composed_values[name]:
+                text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+                differing[f"{section}.{name}"] = text
+    return differing

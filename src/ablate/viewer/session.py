@@ -34,7 +34,7 @@ class Moving(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ViewerState:
     """Everything that decides what is seen."""
 
     pose: np.ndarray  # (4, 4) float64, probe to world, mm
@@ -51,7 +51,7 @@ class State:
 class Views:
     """What is seen of a state; (H, W) is `state.simulator.image_shape`."""
 
-    state: State
+    state: ViewerState
     target: np.ndarray | None  # (H, W) uint8; None while the probe moves, where the generators render alone
     segmentation: np.ndarray  # (H, W) uint8
     attenuation: np.ndarray  # (H, W) float32
@@ -72,15 +72,28 @@ class Views:
 class Session:
     """The probe as it is held, the scanner as it is set, and whether the picture is frozen.
 
-    It starts from a state; reset goes to the first of `poses`, the presets by name. `submit` is called with every new
-    state, unless the picture is frozen. Only one thread at a time may call it.
+    Only one thread at a time may call it.
+
+    Parameters
+    ----------
+    hand : Hand
+        Holds the probe.
+    state : ViewerState
+        Where it starts, but for the pose.
+    poses : mapping of str to (4, 4) float64
+        The presets by name, mm; it starts at the first one, and reset goes back there.
+    submit : callable
+        Called with every new state, unless the picture is frozen.
     """
 
     def __init__(
-        self, hand: Hand, state: State, poses: Mapping[str, np.ndarray], submit: Callable[[State], object]
+        self, hand: Hand, state: ViewerState, poses: Mapping[str, np.ndarray], submit: Callable[[ViewerState], object]
     ) -> None:
-        self.hand, self.presets, self._submit = hand, dict(poses), submit
-        self.state = self.start = state
+        self.hand = hand
+        self.presets = dict(poses)
+        self._submit = submit
+        self.start = state
+        self.state = state
         self.frozen = False
         self.words = ""
         self.hold = Hold(0.0, 0.0)
@@ -115,16 +128,18 @@ class Session:
 
     def to_pose(self, pose: np.ndarray) -> None:
         """Hold the probe at a pose, (4, 4), mm; the hold is the one that comes nearest."""
-        self.hold, self.words = self.hand.hold_of(pose), self.hand.judge(pose)
+        self.hold = self.hand.hold_of(pose)
+        self.words = self.hand.judge(pose)
         self._become(replace(self.state, pose=pose, hold=self.hold))
 
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # keys of its kind
         rows, columns = self.start.simulator.image_shape
-        (height, width), (first_height, first_width) = fan_of(probe).size_mm, fan_of(self.start.probe).size_mm
-        shape = rows, max(1, round(columns * (width / height) / (first_width / first_height)))
-        settings = replace(self.state.simulator, image_shape=shape)
+        height, width = fan_of(probe).size_mm
+        first_height, first_width = fan_of(self.start.probe).size_mm
+        columns = max(1, round(columns * (width / height) / (first_width / first_height)))
+        settings = replace(self.state.simulator, image_shape=(rows, columns))
         self._become(replace(self.state, probe=probe, simulator=settings))
 
     def simulate(self, **changes: Any) -> None:
@@ -132,7 +147,7 @@ class Session:
         self._become(replace(self.state, simulator=replace(self.state.simulator, **changes)))
 
     def show(self, **changes: Any) -> None:
-        """Change the display, the seed or the runs: keys are those of `State`."""
+        """Change the display, the seed or the runs: keys are those of `ViewerState`."""
         self._become(replace(self.state, **changes))
 
     def new_speckle(self) -> None:
@@ -149,7 +164,7 @@ class Session:
         self.state = replace(self.start, runs=self.state.runs)
         self.to_preset(next(iter(self.presets)))
 
-    def _become(self, state: State) -> None:
+    def _become(self, state: ViewerState) -> None:
         self.state = state
         if not self.frozen:
             self._submit(state)

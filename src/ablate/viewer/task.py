@@ -1,17 +1,12 @@
-"""`task=view`: the probe in a browser, until it is stopped; on this machine alone, and without a tunnel."""
+"""`task=view`: the probe in a browser, until it is stopped."""
 
-import socket
-import sys
 import threading
 import time
 import webbrowser
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import closing, redirect_stdout
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
-from io import StringIO
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -20,25 +15,23 @@ import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset import equally_spaced, place_probe, read_poses
-from ablate.extras import installing
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.simulated import training_poses
 from ablate.sources.source import source_of
 from ablate.study.job import Job
 from ablate.ultrasound import TimeGain
-from ablate.viewer.engine import Engine
 from ablate.viewer.generators import first_fitting, pickable
 from ablate.viewer.hand import Hand
 from ablate.viewer.page.operate_tabs import add_hands, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
 from ablate.viewer.page.result_tabs import add_compare_tab, add_keep_tab
-from ablate.viewer.session import Session, State
+from ablate.viewer.scene_renderer import SceneRenderer
+from ablate.viewer.server import HOST, check_server, open_server
+from ablate.viewer.session import Session, ViewerState
 from ablate.viewer.worker import Worker
 
-#: Whatever the library's default, the page is shown to this machine only.
-HOST = "127.0.0.1"
-NEEDS = f"task=view needs viser: {installing('view')}"
-_CONTROLS_PX, _IMAGES_PX = 290, 640  # widths, for a window of 1366 px
+_CONTROLS_PX = 290  # widths, for a window of 1366 px
+_IMAGES_PX = 640
 _MOST_SITES = 60  # of a list that can be searched by eye
 
 
@@ -73,25 +66,19 @@ class Viewer:
         scene, grid = source_of(settings).scene()
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
         poses = presets(settings, scene, grid, hand)
-        folder = settings.results if settings.runs is None else Path(settings.runs)
-        if settings.runs is not None and not folder.is_dir():
-            allowed = "allowed is a run, a study or a folder of studies"
-            raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
-        named = np.array(list(poses.values()))
-        patient = settings.simulator.tgc is TimeGain.patient
-        self.worker = Worker(Engine(scene, training_poses(settings, scene, grid, named) if patient else named).render)
-        start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
-        start = replace(start, runs=first_fitting(pickable(folder), scene.tissues, start))
+        runs = runs_folder(settings)
+        of_gain = np.array(list(poses.values()))
+        if settings.simulator.tgc is TimeGain.patient:
+            of_gain = training_poses(settings, scene, grid, of_gain)
+        custom = settings.model.target
+        self.worker = Worker(SceneRenderer(scene, of_gain, custom).render)
+        start = ViewerState(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
+        start = replace(start, runs=first_fitting(pickable(runs), scene.tissues, start, custom))
         self.session = Session(hand, start, poses, self.worker.submit)
-        if settings.pose:
-            self.session.to_pose(np.asarray(read_poses(Path(settings.pose), "pose")[0][0]))
-        elif settings.plane:
-            if (name := settings.plane.replace("_", " ")) not in poses:
-                raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(poses)}")
-            self.session.to_preset(name)
+        go_to_start(self.session, settings)
         self.server = open_server(settings.viewer.port)
         self.page = Page(self.server, settings, scene, self.session)
-        self._fill_page(folder)
+        self._fill_page(runs)
         self._lock = threading.Lock()
         self.worker.pause()
         self.worker.start(self.page.show, self.page.fail)
@@ -105,8 +92,12 @@ class Viewer:
         gui.set_panel_label(f"ablate: {page.settings.scene_name}")
         add_row(page)
         tabs = gui.add_tab_group()
-        contents: dict[str, Callable[[Page], None]] = {"Move": add_move_tab, "Scan": add_scan_tab}
-        contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab}
+        contents: dict[str, Callable[[Page], None]] = {
+            "Move": add_move_tab,
+            "Scan": add_scan_tab,
+            "Compare": partial(add_compare_tab, runs=runs),
+            "Keep": add_keep_tab,
+        }
         for name, add_content in contents.items():
             with tabs.add_tab(name):
                 add_content(page)
@@ -132,67 +123,67 @@ class Viewer:
                 self.worker.resume()
 
 
+def runs_folder(settings: StudySettings) -> Path:
+    """The folder whose generators are offered; a ConfigurationError where `runs=` names none."""
+    if settings.runs is None:
+        return settings.results
+    folder = Path(settings.runs)
+    if not folder.is_dir():
+        allowed = "allowed is a run, a study or a folder of studies"
+        raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
+    return folder
+
+
+def go_to_start(session: Session, settings: StudySettings) -> None:
+    """Go to the pose or the plane that the settings name, if they name one."""
+    if settings.pose:
+        poses, _ = read_poses(Path(settings.pose), "pose")
+        session.to_pose(np.asarray(poses[0]))
+    elif settings.plane:
+        name = settings.plane.replace("_", " ")
+        if name not in session.presets:
+            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(session.presets)}")
+        session.to_preset(name)
+
+
 def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -> dict[str, np.ndarray]:
     """Poses to start from, (4, 4) float64, mm, by name: standard planes of the built-in anatomy.
 
-    Of other scenes: through the middle of each structure but the largest, by the structure's name, and probe sites. If
-    a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane is
-    the first of the grid's rolls. A scene without a structure, or without a usable probe site, is a ValueError.
+    Of other scenes: through the middle of each structure but the largest, by the structure's name, and probe sites.
+
+    Parameters
+    ----------
+    settings : StudySettings
+        Of the job.
+    scene : Scene
+        The body; its structures' names are those of their meshes.
+    grid : SiteGrid
+        If it has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane
+        is the first of the grid's rolls.
+    hand : Hand
+        Finds the poses that look at a structure.
+
+    Raises
+    ------
+    ValueError
+        For a scene without a structure, or without a usable probe site.
     """
     planes = source_of(settings).planes()
     if planes:
         return {name.replace("_", " "): pose for name, pose in planes.items()}
     upright = replace(grid, tilts_deg=(0.0,), rolls_deg=grid.rolls_deg[:1])
     placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)
-    named, met = {}, Counter[str]()
+    named: dict[str, np.ndarray] = {}
+    structures_of: Counter[str] = Counter()
     for structure in sorted(scene.structures, key=lambda s: -abs(s.mesh.volume))[1:_MOST_SITES]:
         name = Path(str(structure.mesh.metadata.get("name", structure.tissue.name))).stem.replace("_", " ")
         parts = structure.mesh.split(only_watertight=False)  # one kidney of two, not what lies between them
-        if (pose := hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)) is not None:
-            met[name] += 1
-            named[name if met[name] == 1 else f"{name} {met[name]}"] = pose
+        pose = hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)
+        if pose is not None:
+            structures_of[name] += 1
+            number = structures_of[name]
+            named[name if number == 1 else f"{name} {number}"] = pose
     for i in equally_spaced(np.arange(len(placed.poses)), _MOST_SITES):
         height, angle = divmod(int(placed.sites[i]), len(grid.angles_deg))
         named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = placed.poses[i]
     return named
-
-
-def check_server(port: int) -> None:
-    """A ConfigurationError in one line where the extra is not installed, or the port is in use or not allowed."""
-    if find_spec("viser") is None:
-        raise ConfigurationError(NEEDS)
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as trial:
-        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            trial.bind((HOST, port))
-        except OSError as error:
-            why = "not allowed" if isinstance(error, PermissionError) else "in use"
-            raise ConfigurationError(f"viewer.port={port}: {why}; give another one, such as {port + 1}") from error
-
-
-def open_server(port: int) -> Any:
-    """A `viser.ViserServer` on this machine's own address, at this port, which `check_server` has found free."""
-    import viser
-    from viser import _messages
-
-    with redirect_stdout(StringIO()):  # it prints a table of addresses
-        server = viser.ViserServer(host=HOST, port=port, verbose=False)
-    sockets = server._websock_server
-    for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-        sockets.unregister_handler(request)  # a browser could ask for a tunnel to another server
-    sockets.on_client_connect(_only_own_pages(sockets, port))
-    return server
-
-
-def _only_own_pages(sockets: Any, port: int) -> Any:
-    """Close the connections that pages of other sites ask a browser for."""
-    own = [f"http://{name}:{port}".removesuffix(":80") for name in (HOST, "localhost")]
-
-    async def check(client: Any) -> None:
-        connection = sockets._live_connections[client.client_id]
-        origin = connection.request.headers.get("Origin")
-        if origin is not None and origin not in own:
-            await connection.close(1008, "another site's page")
-            print(f"ablate: a page of {origin[:100]} was refused", file=sys.stderr)
-
-    return check

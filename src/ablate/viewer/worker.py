@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from ablate.viewer.session import Quality, State, Views
+from ablate.viewer.session import Quality, ViewerState, Views
 
 #: A probe that has not moved for so long is at rest.
 REST_S = 0.15
@@ -18,13 +18,16 @@ class Worker:
     may be submitted before it is started.
     """
 
-    def __init__(self, compute: Callable[[State, Quality], Views], rest_s: float = REST_S) -> None:
-        self._compute, self._rest_s = compute, rest_s
+    def __init__(self, compute: Callable[[ViewerState, Quality], Views], rest_s: float = REST_S) -> None:
+        self._compute = compute
+        self._rest_s = rest_s
         self._changed = threading.Condition()
-        self._slot: State | None = None
-        self._last: State | None = None
+        self._slot: ViewerState | None = None
+        self._last: ViewerState | None = None
         self._asked = 0.0
-        self.paused = self._closed = self._waits = False
+        self.paused = False
+        self._closed = False
+        self._waits = False
         self.computed = dict.fromkeys(Quality, 0)
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
@@ -33,10 +36,11 @@ class Worker:
 
         It calls `fail` when computing or showing raises, and goes on with the next state.
         """
-        self._show, self._fail = show, fail
+        self._show = show
+        self._fail = fail
         self._thread.start()
 
-    def submit(self, state: State) -> None:
+    def submit(self, state: ViewerState) -> None:
         """Ask for the views of a state in place of the one that waits."""
         with self._changed:
             self._slot = self._last = state
@@ -51,7 +55,8 @@ class Worker:
     def resume(self) -> None:
         """Go on, with the last state that was submitted."""
         with self._changed:
-            self.paused, self._slot = False, self._last
+            self.paused = False
+            self._slot = self._last
             self._changed.notify_all()
 
     @property
@@ -68,11 +73,13 @@ class Worker:
         self._thread.join()
 
     def _run(self) -> None:
-        while (state := self._next()) is not None:
+        state = self._next()
+        while state is not None:
             if self._render(state, Quality.coarse) and self._rests():
                 self._render(state, Quality.full)
+            state = self._next()
 
-    def _next(self) -> State | None:
+    def _next(self) -> ViewerState | None:
         """Wait for a state and take it; None when closed."""
         with self._changed:
             self._waits = True
@@ -90,7 +97,7 @@ class Worker:
     def _interrupted(self) -> bool:
         return self._closed or self._slot is not None
 
-    def _render(self, state: State, quality: Quality) -> bool:
+    def _render(self, state: ViewerState, quality: Quality) -> bool:
         """Compute and show; whether it could be done."""
         try:
             views = self._compute(state, quality)

@@ -12,14 +12,16 @@ from ablate.anatomy import Scene, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_of, fan_outline
 from ablate.viewer.pictures import on_fan
-from ablate.viewer.session import Quality, State, Views
+from ablate.viewer.session import Quality, ViewerState, Views
 
 _UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metres
 _TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
 _FEWEST = 200  # of one structure
 _LARGE = 0.1  # of the box around the scene: what fills more of it surrounds the rest
 _ENVELOPE = 0.1  # opacity of what surrounds the rest, at first
-_HOUSING, _MARK, _OUTLINE = (69, 77, 92), (44, 160, 44), (255, 176, 0)
+_HOUSING = (69, 77, 92)
+_MARK = (44, 160, 44)
+_OUTLINE = (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
 _UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)
 _NO_SHADOW = {"cast_shadow": False, "receive_shadow": False}
@@ -27,18 +29,34 @@ _FAN_ROWS = {Quality.coarse: 64, Quality.full: 256}
 
 
 class Body:
-    """The 3-D part of the page; `tissues` are the meshes of each tissue, by its name."""
+    """The 3-D part of the page; `tissues` are the meshes of each tissue, by its name.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The server of the page.
+    scene : Scene
+        The body.
+    colours : sequence of Colour
+        Of the scene's tissues.
+    axis, front : (3,) float
+        The long axis of the body, and the side that is seen first.
+    """
 
     grabbed: Callable[[str, np.ndarray], object]  # called with the phase of a drag of the probe, and the point, mm
     clicked: Callable[[np.ndarray, np.ndarray], object]  # with origin, mm, and direction of the click's line of sight
     _probe: Probe | None
 
-    def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):
-        self._scene, self._probe = server.scene, None
+    def __init__(
+        self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray
+    ) -> None:
+        self._scene = server.scene
+        self._probe = None
         bounds = bounds_mm(s.mesh for s in scene.structures)
         away = front + 0.55 * np.cross(axis, front) + 0.35 * axis
         away *= 1.7 * float(np.linalg.norm(np.ptp(bounds, axis=0))) / np.linalg.norm(away)
-        self._front_view = bounds.mean(axis=0) + away, bounds.mean(axis=0), axis
+        middle = bounds.mean(axis=0)
+        self._front_view = (middle + away, middle, axis)
         server.scene.configure_environment_map(None)  # costs seconds without a graphics card
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.add_light_ambient("/light", intensity=1.5)
@@ -46,10 +64,12 @@ class Body:
         self._frame = server.scene.add_frame("/probe", show_axes=False)
         server.scene.set_up_direction(tuple(axis))
         camera = server.initial_camera
-        camera.position, camera.look_at = (place / _UNIT_MM for place in self._front_view[:2])
-        camera.up, camera.fov = tuple(axis), np.deg2rad(40.0)
+        camera.position = (middle + away) / _UNIT_MM
+        camera.look_at = middle / _UNIT_MM
+        camera.up = tuple(axis)
+        camera.fov = np.deg2rad(40.0)
 
-    def hold(self, state: State) -> None:
+    def hold(self, state: ViewerState) -> None:
         """Put the probe where it is held, before there is an image of it."""
         if state.probe != self._probe:
             self._add_probe(state.probe)
@@ -70,16 +90,18 @@ class Body:
     def see_through(self, tissue: str, opacity: float) -> None:
         """Set the opacity of a tissue's meshes in 3-D; 0 hides them."""
         for mesh in self.tissues[tissue]:
-            mesh.visible, mesh.opacity = opacity > 0, opacity if opacity < 1 else None
+            mesh.visible = opacity > 0
+            mesh.opacity = opacity if opacity < 1 else None
 
     def opacity_of(self, tissue: str) -> float:
         """The opacity of a tissue's largest mesh in 3-D."""
         opacity = self.tissues[tissue][0].opacity
         return 1.0 if opacity is None else float(opacity)
 
-    def face(self, client: Any, state: State) -> None:
+    def face(self, client: Any, state: ViewerState) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
-        pose, (height, width) = state.pose, fan_of(state.probe).size_mm
+        pose = state.pose
+        height, width = fan_of(state.probe).size_mm
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
         share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
         away = 1.1 * max(height / share, width / (share * max(client.camera.aspect, 0.1)))
@@ -91,17 +113,24 @@ class Body:
 
     def _add_probe(self, probe: Probe) -> None:
         self._probe = probe
-        scene, own = self._scene, np.eye(4)
-        housing = _add(scene, "/probe/housing", probe_body(probe, own), color=_HOUSING)
-        _add(scene, "/probe/mark", first_column_mark(probe, own), color=_MARK)
+        scene = self._scene
+        at_origin = np.eye(4)  # of the frame that moves with the probe
+        housing = _add(scene, "/probe/housing", probe_body(probe, at_origin), color=_HOUSING)
+        _add(scene, "/probe/mark", first_column_mark(probe, at_origin), color=_MARK)
         outline = fan_outline(probe) / _UNIT_MM
         points = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
         scene.add_line_segments("/probe/outline", points, _OUTLINE, thickness=2.0, thickness_units="screen")
         height, width = fan_of(probe).size_mm
-        empty, size = np.zeros((2, 2, 4), np.uint8), (width / _UNIT_MM, height / _UNIT_MM)
-        middle = 0.0, 0.0, (height / 2 - fan_of(probe).sag_mm) / _UNIT_MM
-        look = {"format": "png", "wxyz": _UPRIGHT, "position": middle, **_NO_SHADOW}
-        self.fan = scene.add_image("/probe/fan", empty, *size, **look)
+        self.fan = scene.add_image(
+            "/probe/fan",
+            np.zeros((2, 2, 4), np.uint8),
+            width / _UNIT_MM,
+            height / _UNIT_MM,
+            format="png",
+            wxyz=_UPRIGHT,
+            position=(0.0, 0.0, (height / 2 - fan_of(probe).sag_mm) / _UNIT_MM),
+            **_NO_SHADOW,
+        )
         housing.on_drag(self._grab)
         self.fan.on_click(self._click)
 
@@ -128,15 +157,16 @@ def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> dic
         parts.setdefault((tissue, opacity), []).append(mesh)
     added: dict[str, list[Any]] = {}
     for number, ((tissue, opacity), meshes) in enumerate(parts.items()):
-        look = {"color": tuple(round(255 * c) for c in colours[tissue]), "opacity": opacity, "side": "back"}
-        made = _add(server.scene, f"/body/{number}", trimesh.util.concatenate(meshes), **look)
-        added.setdefault(scene.tissues[tissue].name, []).append(made)
+        colour = tuple(round(255 * channel) for channel in colours[tissue])
+        whole_mesh = trimesh.util.concatenate(meshes)
+        shown = _add(server.scene, f"/body/{number}", whole_mesh, color=colour, opacity=opacity, side="back")
+        added.setdefault(scene.tissues[tissue].name, []).append(shown)
     return added
 
 
-def _add(scene: Any, name: str, mesh: trimesh.Trimesh, **look: Any) -> Any:
+def _add(scene: Any, name: str, mesh: trimesh.Trimesh, side: str = "double", **look: Any) -> Any:
     vertices = np.asarray(mesh.vertices, np.float32) / _UNIT_MM
-    return scene.add_mesh_simple(name, vertices, mesh.faces, **{"side": "double", **_NO_SHADOW, **look})
+    return scene.add_mesh_simple(name, vertices, mesh.faces, side=side, **_NO_SHADOW, **look)
 
 
 def fewer_triangles(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
@@ -145,7 +175,8 @@ def fewer_triangles(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
     Vertices that share a cube become their mean, in larger and larger cubes. A mesh that has few enough is returned as
     it is.
     """
-    cube, result = float(np.sqrt(4 * mesh.area / most)) / 2, mesh
+    cube = float(np.sqrt(4 * mesh.area / most)) / 2
+    result = mesh
     while len(result.faces) > most:
         cells = np.floor((mesh.vertices - mesh.bounds[0]) / cube).astype(np.int64)
         owner = np.unique(cells, axis=0, return_inverse=True)[1].ravel()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ablate.ultrasound import Display
+from ablate.ultrasound import Display, Probe, SimulatorSettings
 from ablate.viewer.page.page import Bounds, Page
 from ablate.viewer.session import MOST_TURNED_DEG, Moving
 
@@ -52,7 +52,7 @@ def add_row(page: Page) -> None:
 def add_move_tab(page: Page) -> None:
     """Add presets, a slider for each degree of freedom, and views of the body."""
     session, gui = page.session, page.server.gui
-    chosen = gui.add_dropdown("Plane", (_PLACE, *session.presets), initial_value=_PLACE, hint="goes there at once")
+    planes = gui.add_dropdown("Plane", (_PLACE, *session.presets), initial_value=_PLACE, hint="goes there at once")
 
     def go(name: str) -> None:
         if name in session.presets:
@@ -62,8 +62,8 @@ def add_move_tab(page: Page) -> None:
         names = (name for name, pose in session.presets.items() if np.array_equal(pose, session.state.pose))
         return next(names, _PLACE)
 
-    chosen.on_update(page.does(go))
-    page.keep_equal(chosen, held)
+    planes.on_update(page.does(go))
+    page.keep_equal(planes, held)
 
     low, high = session.hand.heights_mm
     for name, label, lowest, highest, hint in (
@@ -74,13 +74,15 @@ def add_move_tab(page: Page) -> None:
         ("tilt_deg", "Tilt (°)", -MOST_TURNED_DEG, MOST_TURNED_DEG, "out of the image plane: keys T and G"),
     ):
         _add_slider(page, label, (lowest, highest, 1.0), name, lambda: session.hold, session.move, hint)
-    looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
-    look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
-    look.on_click(page.tells(lambda event: looks[event.target.value](event.client)))
+    views = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
+    look_at = gui.add_button_group("Look at", tuple(views), hint="turns the 3-D view")
+    look_at.on_click(page.tells(lambda event: views[event.target.value](event.client)))
     with gui.add_folder("See through (1 is opaque, 0 hidden)", expand_by_default=False):
         for name in page.body.tissues:
-            read, write = partial(page.body.opacity_of, name), partial(page.body.see_through, name)
-            page.add_slider(name.replace("_", " "), (0.0, 1.0, 0.1), read, write)
+            label = name.replace("_", " ")
+            page.add_slider(
+                label, (0.0, 1.0, 0.1), partial(page.body.opacity_of, name), partial(page.body.see_through, name)
+            )
     gui.add_html(_HINTS)
 
 
@@ -101,10 +103,11 @@ def add_hands(page: Page) -> None:
     offset: dict[str, float] = {}  # from the point that was grabbed to the hold of the probe
 
     def grab(phase: str, point: np.ndarray) -> None:
-        height, angle = session.hand.site_of(point)
+        height_mm, angle_deg = session.hand.site_of(point)
         if phase == "start" or not offset:
-            offset.update(height_mm=session.hold.height_mm - height, angle_deg=session.hold.angle_deg - angle)
-        session.move(height_mm=offset["height_mm"] + height, angle_deg=offset["angle_deg"] + angle)
+            offset["height_mm"] = session.hold.height_mm - height_mm
+            offset["angle_deg"] = session.hold.angle_deg - angle_deg
+        session.move(height_mm=offset["height_mm"] + height_mm, angle_deg=offset["angle_deg"] + angle_deg)
         if phase == "end":
             offset.clear()
 
@@ -124,22 +127,33 @@ def add_scan_tab(page: Page) -> None:
     def levels() -> tuple[float, ...]:
         return display().tgc_db or (0.0,) * _TGC_SLIDERS
 
+    def level(number: int) -> float:
+        return levels()[number]
+
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
-    probe, simulator = (lambda: session.state.probe), (lambda: session.state.simulator)
+    def probe() -> Probe:
+        return session.state.probe
+
+    def simulator() -> SimulatorSettings:
+        return session.state.simulator
+
+    def dynamic_range_db() -> float:
+        return display().dynamic_range_db or simulator().dynamic_range_db
+
+    def set_dynamic_range(db: float) -> None:
+        show(dynamic_range_db=db)
+
     _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", probe, session.scan)
     _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", probe, session.scan)
     _add_slider(page, "Rays", (1, 64, 1), "rays", simulator, session.simulate)
     _add_slider(page, "Gain (dB)", (-30.0, 30.0, 1.0), "gain_db", display, show)
-    of_display, range_db = (lambda: display().dynamic_range_db or simulator().dynamic_range_db), (20.0, 100.0, 5.0)
-    page.add_slider("Dynamic range (dB)", range_db, of_display, lambda db: show(dynamic_range_db=db))
+    page.add_slider("Dynamic range (dB)", (20.0, 100.0, 5.0), dynamic_range_db, set_dynamic_range)
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
-            page.add_slider(
-                label, (-20.0, 20.0, 1.0), partial(lambda n: levels()[n], number), partial(set_level, number)
-            )
+            page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda mode: session.show(moving=Moving(mode))))
     page.keep_equal(moving, lambda: str(session.state.moving))

@@ -13,28 +13,47 @@ from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
-from ablate.viewer.pictures import BAD, GOOD, Layout, caption, empty_picture, line, screen
+from ablate.viewer.pictures import empty_picture
 from ablate.viewer.records import CineLoop, Sweep
+from ablate.viewer.screen import Layout, screen
 from ablate.viewer.session import FROZEN, Quality, Session, Views
+from ablate.viewer.words import BAD, GOOD, caption, line
 
 Bounds = tuple[float, float, float]
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."
 
 
 class Page:
-    """What all parts of the page share; it follows the session."""
+    """What all parts of the page share; it follows the session.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+        The server of the page.
+    settings : StudySettings
+        Those that the viewer was started with.
+    scene : Scene
+        The body.
+    session : Session
+        What the operator has set.
+    """
 
     def __init__(self, server: Any, settings: StudySettings, scene: Scene, session: Session) -> None:
-        self.server, self.settings, self.scene, self.session = server, settings, scene, session
+        self.server = server
+        self.settings = settings
+        self.scene = scene
+        self.session = session
         self.folder = settings.results / "view"  # where frames and sweeps are kept
         self.colours = tissue_colours(scene.tissues)
         self.body = Body(server, scene, self.colours, session.hand.axis, session.hand.front)
-        self.layout, self.loop = Layout(), CineLoop()
+        self.layout = Layout()
+        self.loop = CineLoop()
         self.sweep: Sweep | None = None  # that is being recorded
         self.shown: Views | None = None  # the last frame, or one of the cine loop
         self.refreshers: list[Callable[[], object]] = []  # called when a setting has changed
         self.painters: list[Callable[[Views], object]] = []  # called with every frame that is shown
-        self.lock, self._paper = threading.RLock(), threading.RLock()
+        self.lock = threading.RLock()  # held while a wish is met
+        self._paper = threading.RLock()  # held while a frame is drawn
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)
         self._hand = ThreadPoolExecutor(1, "hand")  # answers what browsers send, in the order in which it came
@@ -53,10 +72,27 @@ class Page:
     def add_slider(
         self, label: str, bounds: Bounds, read: Callable[[], float], write: Callable[[float], object], hint: str = ""
     ) -> None:
-        """Add a slider with bounds (lowest, highest, step); it shows what `read` gives, and moving it calls `write`."""
+        """Add a slider.
+
+        Parameters
+        ----------
+        label : str
+            Its label.
+        bounds : (float, float, float)
+            Lowest and highest value and step; wider where its first value lies beyond, because a control shows what is
+            so. Of whole numbers they are integers.
+        read : callable
+            Gives the value that it shows.
+        write : callable
+            Called with the new value when it is moved.
+        hint : str
+            Shown beside it; empty for none.
+        """
         lowest, highest, step = bounds
-        lowest, highest = min(lowest, math.floor(read())), max(highest, math.ceil(read()))  # a control shows what is so
-        digits = None if all(isinstance(value, int) for value in bounds) else len(f"{step:g}".partition(".")[2])
+        lowest = min(lowest, math.floor(read()))
+        highest = max(highest, math.ceil(read()))
+        is_whole = all(isinstance(value, int) for value in bounds)
+        digits = None if is_whole else len(f"{step:g}".partition(".")[2])
 
         def shown() -> float:
             return round(min(max(read(), lowest), highest), digits)
@@ -186,6 +222,9 @@ class Page:
 
     def _write_status(self) -> None:
         contact = self.session.words
-        lines = [line(contact or "the probe lies on the skin", BAD if contact else GOOD)]
-        lines += [line(words, BAD) for words in (FROZEN if self.session.frozen else "", self._words) if words]
+        lines = [line(contact, BAD) if contact else line("the probe lies on the skin", GOOD)]
+        if self.session.frozen:
+            lines.append(line(FROZEN, BAD))
+        if self._words:
+            lines.append(line(self._words, BAD))
         self._status.content = "".join(lines)

@@ -16,6 +16,7 @@ from ablate.viewer.page.page import Page
 from ablate.viewer.pictures import label_at
 from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save_frame, save_poses
 from ablate.viewer.session import Views
+from ablate.viewer.words import in_markdown
 
 _NONE = "none"
 _TRAINS = "No run with weights here. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
@@ -28,24 +29,26 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     session, gui = page.session, page.server.gui
     offered = pickable(runs)
     picked = tuple(name for name, folder in offered.items() if folder in session.state.runs)
+    first, second = (*picked, _NONE, _NONE)[:2]
     pickers = [
-        gui.add_dropdown(label, (_NONE, *offered), initial_value=start)
-        for label, start in zip(("Generator", "A second one"), (*picked, _NONE, _NONE), strict=False)
+        gui.add_dropdown("Generator", (_NONE, *offered), initial_value=first),
+        gui.add_dropdown("A second one", (_NONE, *offered), initial_value=second),
     ]
 
-    def named() -> None:
+    def name_runs() -> None:
         page.layout = replace(page.layout, names={folder: name for name, folder in offered.items()})
 
     def invitation() -> str:
         return _TRAINS if all(map(is_shipped, offered.values())) else ""
 
     def pick(_: Any) -> None:
-        session.show(runs=tuple(dict.fromkeys(offered[p.value] for p in pickers if p.value in offered)))
+        folders = [offered[picker.value] for picker in pickers if picker.value in offered]
+        session.show(runs=tuple(dict.fromkeys(folders)))
 
     def look_again() -> None:
         offered.clear()
         offered.update(pickable(runs))
-        named()
+        name_runs()
         for picker in pickers:
             picker.options = (_NONE, *offered)
         trained.content = invitation()
@@ -58,7 +61,7 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     difference.on_update(page.does(lambda wanted: page.lay_out(difference=wanted)))
     numbers = gui.add_markdown("")
     page.painters.append(lambda views: setattr(numbers, "content", _distances(page.layout.names, views)))
-    named()
+    name_runs()
     _add_calipers(page)
 
 
@@ -67,9 +70,10 @@ def _distances(names: Mapping[Path, str], views: Views) -> str:
     rows = []
     for run, image in zip(views.state.runs, views.generated, strict=True):
         if image is not None and views.target is not None:
-            near = psnr(views.target, image, mask=views.mask)
+            name = in_markdown(names.get(run, run.name))
+            psnr_db = psnr(views.target, image, mask=views.mask)
             chi2 = rms(patch_chi2(views.target, image))
-            rows.append(f"| {names.get(run, run.name)} | {near:.1f} | {'–' if chi2 is None else f'{chi2:.3f}'} |")
+            rows.append(f"| {name} | {psnr_db:.1f} | {'–' if chi2 is None else f'{chi2:.3f}'} |")
     head = "| to the simulated image | PSNR in the fan (dB) | patch χ² |\n| --- | --- | --- |\n"
     return head + "\n".join(rows) if rows else ""
 
@@ -79,23 +83,27 @@ def _add_calipers(page: Page) -> None:
     answer = page.server.gui.add_markdown(_INVITES)
 
     def click(origin: np.ndarray, direction: np.ndarray) -> None:
-        if (views := page.shown) is not None:
-            pose, points = views.state.pose, page.layout.points
-            if len(points) == MOST_POINTS or not len(in_plane(points, pose)):
-                points = np.empty((0, 3))
-            held = page.session.state.pose  # there the fan is drawn, also with a frozen frame of another place
-            point = pose @ np.linalg.inv(held) @ (*on_plane(held, origin, direction), 1)
-            page.lay_out(points=np.vstack([points, point[:3]]))
+        views = page.shown
+        if views is None:
+            return
+        pose = views.state.pose
+        points = page.layout.points
+        if len(points) == MOST_POINTS or not len(in_plane(points, pose)):
+            points = np.empty((0, 3))
+        held = page.session.state.pose  # there the fan is drawn, also with a frozen frame of another place
+        point = pose @ np.linalg.inv(held) @ (*on_plane(held, origin, direction), 1)
+        page.lay_out(points=np.vstack([points, point[:3]]))
 
     def clear() -> None:
         answer.content = _INVITES
         page.lay_out(points=np.empty((0, 3)))
 
     def follow(views: Views) -> None:
-        if len(seen := in_plane(page.layout.points, views.state.pose)):
-            label = label_at(views.segmentation, seen[-1], views.state.probe)
+        points = in_plane(page.layout.points, views.state.pose)
+        if len(points):
+            label = label_at(views.segmentation, points[-1], views.state.probe)
             tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
-            answer.content = measured(seen, tissue, views.state.probe)
+            answer.content = measured(points, in_markdown(tissue), views.state.probe)
         elif len(page.layout.points):
             answer.content = "The points are not on this plane."
 
@@ -108,36 +116,38 @@ def add_keep_tab(page: Page) -> None:
     """Add buttons to save, a switch to record, and the cine loop."""
     gui, session, settings = page.server.gui, page.session, page.settings
 
-    def save() -> None:
+    def shown() -> Views:
         if page.shown is None:
             raise ValueError("there is no frame yet")
+        return page.shown
+
+    def save() -> None:
         folder = next_folder(page.folder, settings.scene_name)
-        save_frame(folder, page.shown)
+        save_frame(folder, shown())
         answer.content = f"Saved in `{folder}`, with `frame.json` and `pose.npy`."
 
     def write_command() -> None:
-        if page.shown is None:
-            raise ValueError("there is no frame yet")
-        state = page.shown.state
+        views = shown()
+        state = views.state
         pose = save_poses(next_folder(page.folder, "pose") / "pose.npy", state.pose)
         seeded = replace(settings, dataset=replace(settings.dataset, seed=state.seed))
-        range_db = (state.display and state.display.dynamic_range_db) or state.simulator.dynamic_range_db
-        curve = page.shown.time_gain_db
-        simulator = replace(state.simulator, time_gain_db=curve, dynamic_range_db=range_db)
+        simulator = replace(state.simulator, time_gain_db=views.time_gain_db)
+        if state.display is not None and state.display.dynamic_range_db:
+            simulator = replace(simulator, dynamic_range_db=state.display.dynamic_range_db)
         command.value = command_line(seeded, replace(state, simulator=simulator), "task=render", f"pose={pose}")
 
     def switch(records: bool) -> None:
         if records:
             page.sweep = Sweep()
             answer.content = "Recording: every frame that is shown is a pose of the sweep."
-        elif (sweep := page.sweep) is not None:
-            page.sweep = None
-            file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep)
+        elif page.sweep is not None:
+            sweep, page.sweep = page.sweep, None
+            file = sweep.save(next_folder(page.folder, "sweep"))
+            kept = f"{len(sweep)} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
             alike = "Poses beside each other look alike, so its test frames are not unseen sites (docs/anatomy.md)."
-            kept = f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
             answer.content = f"{kept} {alike}"
-            if count >= 3:  # one of each part
-                words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"
+            if len(sweep) >= 3:  # one of each part
+                words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={len(sweep)}"
                 command.value = command_line(settings, session.state, *words)
 
     page.add_button("Save the frame", save)

@@ -24,15 +24,17 @@ from ablate.training.inference import chosen_precision
 from ablate.ultrasound import Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
-from ablate.viewer.engine import Engine, coarse
-from ablate.viewer.generators import FastGenerator, Trained, first_fitting, open_generator, pickable
-from ablate.viewer.session import Quality, State
+from ablate.viewer.fast_generator import FastGenerator
+from ablate.viewer.generators import first_fitting, open_generator, pickable
+from ablate.viewer.scene_renderer import SceneRenderer, coarse
+from ablate.viewer.session import Quality, ViewerState
+from ablate.viewer.trained import Trained
 from support.viewed_body import BODY, STATE
 
 
 @pytest.mark.parametrize("display", [None, Display()])
 def test_at_rest_it_is_the_simulators_frame_bit_for_bit(display: Display | None) -> None:
-    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, display=display), Quality.full)
+    views = SceneRenderer(BODY, STATE.pose[None]).render(replace(STATE, display=display), Quality.full)
     frame = Simulator(BODY, STATE.probe, STATE.simulator).render(STATE.pose, STATE.seed)
     np.testing.assert_array_equal(views.target, frame.image)
     np.testing.assert_array_equal(views.segmentation, frame.segmentation)
@@ -42,7 +44,7 @@ def test_at_rest_it_is_the_simulators_frame_bit_for_bit(display: Display | None)
 
 
 def test_moving_it_has_the_same_maps_and_a_coarser_image() -> None:
-    engine = Engine(BODY, STATE.pose[None])
+    engine = SceneRenderer(BODY, STATE.pose[None])
     moving, rest = engine.render(STATE, Quality.coarse), engine.render(STATE, Quality.full)
     segmentation, attenuation = Simulator(BODY, STATE.probe, STATE.simulator).maps(STATE.pose)
     np.testing.assert_array_equal(moving.segmentation, segmentation)
@@ -59,7 +61,7 @@ def test_depth_and_frequency_change_without_building_embree_again(monkeypatch: p
         built.append(1)
         build(geometry, *given)
 
-    engine = Engine(BODY, STATE.pose[None])
+    engine = SceneRenderer(BODY, STATE.pose[None])
     monkeypatch.setattr(embree.Geometry, "__init__", counted)
     engine.render(STATE, Quality.full)
     for probe in (replace(STATE.probe, depth_mm=90.0), replace(STATE.probe, frequency_mhz=5.0)):
@@ -84,7 +86,7 @@ def test_a_dynamic_range_that_cannot_be_is_refused_when_it_is_chosen() -> None:
 def test_gain_is_added_to_echoes_and_noise_alike() -> None:
     """10 dB more are 12.75 grey levels more of a display of 200 dB, on which nothing is black or white."""
     engine, plain, louder = (
-        Engine(BODY, STATE.pose[None]),
+        SceneRenderer(BODY, STATE.pose[None]),
         Display(dynamic_range_db=200.0),
         Display(10.0, dynamic_range_db=200.0),
     )
@@ -98,7 +100,7 @@ def test_gain_is_added_to_echoes_and_noise_alike() -> None:
 
 
 def test_tgc_sliders_brighten_their_depth_alone() -> None:
-    engine = Engine(BODY, STATE.pose[None])
+    engine = SceneRenderer(BODY, STATE.pose[None])
     shown = [engine.render(replace(STATE, display=Display(tgc_db=(0, 0, db))), Quality.full).target for db in (0, 20)]
     depth = pixel_polar(STATE.probe, STATE.simulator.image_shape)[0] / STATE.probe.depth_mm
     plain, deep = (image.astype(float) for image in shown)
@@ -108,7 +110,7 @@ def test_tgc_sliders_brighten_their_depth_alone() -> None:
 
 def test_controls_of_a_finished_image_are_those_of_the_simulator() -> None:
     image = np.array([[0, 60, 120, 180]], np.uint8)
-    settings = State(np.eye(4)).simulator
+    settings = ViewerState(np.eye(4)).simulator
     shown = Display(gain_db=6.0, dynamic_range_db=40.0).shown(image, np.zeros(image.shape), settings)
     level_db = (image[0] / 255 - 1) * 60 + 6
     expected = np.clip(255 * (level_db / 40 + 1), 0, 255)
@@ -117,7 +119,7 @@ def test_controls_of_a_finished_image_are_those_of_the_simulator() -> None:
 
 
 def test_a_run_that_is_gone_is_said_in_a_note(tmp_path: Path) -> None:
-    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, runs=(tmp_path / "gone",)), Quality.full)
+    views = SceneRenderer(BODY, STATE.pose[None]).render(replace(STATE, runs=(tmp_path / "gone",)), Quality.full)
     assert views.generated == (None,)
     assert "this run is gone" in views.notes["generated 0"]
     assert views.target.any()
@@ -126,7 +128,7 @@ def test_a_run_that_is_gone_is_said_in_a_note(tmp_path: Path) -> None:
 def test_a_probe_in_the_air_is_rendered_without_a_warning() -> None:
     away = STATE.pose.copy()
     away[1, 3] -= 500
-    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, pose=away), Quality.full)
+    views = SceneRenderer(BODY, STATE.pose[None]).render(replace(STATE, pose=away), Quality.full)
     assert set(np.unique(views.segmentation)) == {0, 1}
 
 
@@ -134,7 +136,7 @@ def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not
     offered = pickable(Path("nowhere"))
     assert list(offered) == [f"comes with ablate: {name}" for name in NAMES]
     picked = {"here": offered["comes with ablate: sa2h"]}
-    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
+    views = SceneRenderer(BODY, STATE.pose[None]).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
     (image,) = views.generated
     assert image is not None
     assert image.shape == STATE.simulator.image_shape
@@ -160,12 +162,12 @@ def test_a_preset_is_shown_with_the_shipped_network_that_was_trained_in_it(name:
 def test_a_run_that_was_trained_again_is_opened_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened, shipped = [], pickable(Path("nowhere"))["comes with ablate: sa2h"]
 
-    def opens(folder: Path, tissues: Sequence[Tissue]) -> Trained:
+    def opens(folder: Path, tissues: Sequence[Tissue], _custom: str | None) -> Trained:
         opened.append(folder)
         return open_generator(shipped, tissues)
 
-    monkeypatch.setattr("ablate.viewer.engine.open_generator", opens)
-    engine, state, images = Engine(BODY, STATE.pose[None]), replace(STATE, runs=(tmp_path,)), []
+    monkeypatch.setattr("ablate.viewer.scene_renderer.open_generator", opens)
+    engine, state, images = SceneRenderer(BODY, STATE.pose[None]), replace(STATE, runs=(tmp_path,)), []
     for written_ns in (1, 1, 2):
         (tmp_path / "last.ckpt").touch()
         os.utime(tmp_path / "last.ckpt", ns=(0, written_ns))
@@ -196,7 +198,7 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     changed = [fluid, replace(tissue, scatterer_density=0.001)]
     unlike = open_generator(picked, changed).reservation(at_its_size)
     assert unlike == f"not trained on {tissue.name.replace('_', ' ')}"
-    engine, state = Engine(known, STATE.pose[None]), replace(STATE, runs=(picked,), seed=3)
+    engine, state = SceneRenderer(known, STATE.pose[None]), replace(STATE, runs=(picked,), seed=3)
     moving, rest = engine.render(state, Quality.coarse), engine.render(state, Quality.full)
     frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)
     np.testing.assert_array_equal(rest.generated[0], exact := renderer.render(frame, known.tissues, seed=3))
