@@ -139,9 +139,9 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
         kind, s = kinds[network], settings[network]
         values = dataset.label_values(data[kind].tissues, s.encoding, s.label_seed)
         if run.checkpoint.is_file():
-            generator = load_generator(run.checkpoint)
+            generator = load_generator(run.checkpoint, s.model.target)
         else:  # the weights that a training starts with
-            generator = Generator(replace(s.model, labels=values.shape[1])).eval()
+            generator = Generator(s.model, values.shape[1]).eval()
         precision = TrainingPrecision[run.spec["semantic"]["training"]["precision"]]
         render[network] = generated_images(generator.to(device), data[kind].pairs, values, precision)
         reads[network] = Read(kind, conditions(generator.spec), generator.spec.space)

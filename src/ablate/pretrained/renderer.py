@@ -14,7 +14,7 @@ from ablate.anatomy import Tissue
 from ablate.networks import Generator, GeneratorSpec, Space, conditions
 from ablate.setting import plain
 from ablate.storage import written_whole
-from ablate.training import TrainingPrecision, generate
+from ablate.training import TrainingPrecision, check_class, generate
 from ablate.ultrasound import Beam, Frame, Probe, SimulatorSettings, scan_converter
 from ablate.ultrasound.settings import probe_from
 
@@ -101,8 +101,11 @@ def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[
     return dict(zip(names, map(tuple, values.tolist()), strict=True))
 
 
-def load(name: str | Path) -> Renderer:
+def load(name: str | Path, custom: str | None = None) -> Renderer:
     """Load a trained generator, on the CPU: one of `NAMES`, or a file that `save` wrote.
+
+    Where the network is a class of the user's, `custom` is its dotted path: nothing is imported that only the file
+    names.
 
     Raises
     ------
@@ -121,7 +124,8 @@ def load(name: str | Path) -> Renderer:
         raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and files that `save` wrote")
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        generator = Generator(GeneratorSpec(**content["spec"]))
+        check_class(content["spec"]["target"], custom)
+        generator = Generator(GeneratorSpec(**content["spec"]), content["labels"])
         generator.load_state_dict(content["weights"])
         values = {name: tuple(of_tissue) for name, of_tissue in content["values"].items()}
         frames = probe_from(content["probe"]), SimulatorSettings(**content["simulator"])
@@ -134,6 +138,7 @@ def save(renderer: Renderer, path: Path) -> None:
     """Write a trained generator to a file that `load` reads; the file holds no code."""
     content = {
         "spec": plain(renderer.generator.spec),
+        "labels": renderer.generator.labels,
         "weights": renderer.generator.state_dict(),
         "values": {name: list(values) for name, values in renderer.values.items()},
         "probe": plain(renderer.probe),

@@ -142,12 +142,12 @@ def semantic_key(key: str) -> str:
     return f"data.{key}" if key.partition(".")[0] in _OF_THE_DATA else key
 
 
-def parameters(s: StudySettings, spec: GeneratorSpec) -> dict[str, float]:
+def parameters(s: StudySettings, spec: GeneratorSpec, labels: int) -> dict[str, float]:
     """Count the parameters of the generator and of the discriminator, which is 0 for a job that trains without one."""
     from ablate import networks
 
-    discriminator = networks.count_discriminator(spec, s.training.discriminator_width)
+    discriminator = networks.count_discriminator(spec, s.training.discriminator_width, labels)
     return {
-        "parameters_generator": float(networks.count_generator(spec)),
+        "parameters_generator": float(networks.count_generator(spec, labels)),
         "parameters_discriminator": float(discriminator if s.training.has_discriminator else 0),
     }

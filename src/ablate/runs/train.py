@@ -179,7 +179,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     s, pairs = job.settings, data.pairs
     started = time.perf_counter()
     values = dataset.label_values(data.tissues, s.encoding, s.label_seed)
-    spec, cut = replace(s.model, labels=values.shape[1]), s.crops
+    spec, labels, cut = s.model, values.shape[1], s.crops
     settings = CropSettings(s.training.crop, s.training.batch_size, cut.fan_fraction, cut.flip, s.seed, spec.space)
     crops = Crops(pairs, pairs.frames(Part.train), frozenset(conditions(spec)), values, settings)
     trained = train(
@@ -189,13 +189,14 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
         run.folder,
         sink=log.metrics,
         validation=_validation(s, data, values, log),
+        labels=labels,
     )
     costs = {"train/resumed_at": float(trained.resumed_at)}
     if trained.resumed_at == 0:
         costs["train/seconds"] = time.perf_counter() - started
     render = generated_images(trained.generator, pairs, values, s.training.precision)
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
-    scalars = {**costs, **scores.scalars, **parameters(s, spec)}
+    scalars = {**costs, **scores.scalars, **parameters(s, spec, labels)}
     unfinish(run)
     with written_whole(run.scores_file) as partial:
         scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)

@@ -1,3 +1,4 @@
+from .checkpoint import check_class as check_class
 from .checkpoint import load_generator as load_generator
 from .checkpoint import read_checkpoint as read_checkpoint
 from .inference import Engine as Engine

@@ -112,7 +112,7 @@ def measure_generators(
         elsewhere = "" if study == settings.study else f", {study}"
         setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
         try:
-            generator = load_generator(run.checkpoint).to(device)
+            generator = load_generator(run.checkpoint, settings.model.target).to(device)
             maps, needed = made(conditions(generator.spec), generator.spec.space)
             rendered, network_ms = _render(run, generator, maps, bench, execution)
         except Exception as failure:
