@@ -86,18 +86,18 @@ def peak_gib(device: torch.device) -> float:
         return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
 
 
-def spec_of(arguments: argparse.Namespace, width: float) -> GeneratorSpec:
-    """The generator of a variant with the maps of a preset, and as deep as in the paper's frame."""
+def spec_of(arguments: argparse.Namespace, width: float) -> tuple[GeneratorSpec, int]:
+    """The generator of a variant with the maps of a preset, as deep as in the paper's frame; channels of its labels."""
     given = [f"preset={arguments.preset}", f"variant={arguments.variant}", "simulator.image_shape=[1000,1386]"]
     settings = jobs_of(given)[0].settings
     values = label_values(tuple(load_tissues().values()), settings.encoding)
-    return replace(settings.model, labels=values.shape[1], width=width)
+    return replace(settings.model, width=width), values.shape[1]
 
 
-def drawn_generator(spec: GeneratorSpec) -> Generator:
+def drawn_generator(spec: GeneratorSpec, labels: int) -> Generator:
     """A generator with its first weights, its noise switched on."""
     torch.manual_seed(0)
-    generator = Generator(spec).eval().requires_grad_(False)
+    generator = Generator(spec, labels).eval().requires_grad_(False)
     for name, parameter in generator.named_parameters():
         if name.endswith("noise_weight"):
             parameter.fill_(0.1)
@@ -108,13 +108,13 @@ def measure(arguments: argparse.Namespace) -> None:
     """Measure one row; prints JSON."""
     (height, width), device = arguments.size, chosen_device(arguments.device)
     before = peak_gib(device)
-    generator = drawn_generator(spec_of(arguments, arguments.widths[0])).to(device)
+    generator = drawn_generator(*spec_of(arguments, arguments.widths[0])).to(device)
     if arguments.engine is None:
         export_onnx(generator, arguments.file, height, width)
         print("{}")
         return
     random = torch.Generator().manual_seed(0)
-    channels = dict.fromkeys(conditions(generator.spec), 1) | {"segmentation": generator.spec.labels}
+    channels = dict.fromkeys(conditions(generator.spec), 1) | {"segmentation": generator.labels}
     maps = {name: torch.rand(1, n, height, width, generator=random).to(device) for name, n in channels.items()}
     started = time.perf_counter()
     if arguments.engine is Engine.exported:
@@ -140,7 +140,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
     device, before = chosen_device(arguments.device), 0.0
     computed = tuple(dict.fromkeys((TrainingPrecision.fp32, chosen_precision(TrainingPrecision.auto, device))))
     for width in arguments.widths:
-        parameters = f"{count_generator(spec_of(arguments, width)):,}"
+        parameters = f"{count_generator(*spec_of(arguments, width)):,}"
         exported, reference = folder / "model.onnx", None
         for engine in Engine:
             lacking = missing_for(engine, device)

@@ -81,6 +81,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["dataset.poses="], r"dataset\.poses=''?: allowed are "),
     (["runs_dir="], r"runs_dir=''?: allowed are "),
     (["trainin.steps=3"], r"unknown key 'trainin.*did you mean 'training'"),
+    (["-m", "variant=sa2h", "model.labels=1,3"], r"unknown key 'model\.labels'"),  # it follows from `encoding`
     (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
     (["+colour=blue"], r"unknown key 'colour'"),
     (["reference=sa9h"], r"reference=sa9h: allowed are .*sa2h"),

@@ -15,7 +15,7 @@ from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
 from ablate.networks.layers import convolutions
 from ablate.training.inference import openvino_core
 from ablate.ultrasound import ConvexProbe, ScanConverter
-from support.variants import BEAM, UNET
+from support.variants import BEAM, BEAM_LABELS, UNET
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("openvino")
@@ -32,12 +32,13 @@ SIZE = (13, 30)
 
 def drawn(name: str) -> Generator:
     torch.manual_seed(0)
-    return Generator(GeneratorSpec(**{"depth": 2, "width": 0.1, **VARIANTS[name]}))
+    labels = BEAM_LABELS if name == "beam" else 1
+    return Generator(GeneratorSpec(**{"depth": 2, "width": 0.1, **VARIANTS[name]}), labels)
 
 
 def inputs_of(generator: Generator) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     random = torch.Generator().manual_seed(1)
-    channels = {"segmentation": generator.spec.labels}
+    channels = {"segmentation": generator.labels}
     names = conditions(generator.spec)
     maps = {name: torch.rand(1, channels.get(name, 1), *SIZE, generator=random) for name in names}
     return maps, generator.draw_noise(torch.tensor([5]), *SIZE)
@@ -86,7 +87,8 @@ def test_the_file_computes_what_the_network_computes(name: str, tmp_path: Path) 
     assert [node.name for node in model.graph.input] == [*conditions(generator.spec), *generator.noise_sizes(*SIZE)]
     assert [node.name for node in model.graph.output] == ["image"]
     assert [(o.domain, o.version) for o in model.opset_import] == [("", 18)]
-    assert json.loads(model.metadata_props[0].value) == asdict(generator.spec)
+    metadata = {entry.key: json.loads(entry.value) for entry in model.metadata_props}
+    assert metadata == {"spec": asdict(generator.spec), "labels": generator.labels}
     # Nothing that a runtime may lack, TensorRT among them; and what each variant does without.
     operations = {node.op_type for node in model.graph.node}
     standard = {"Add", "Concat", "Conv", "ConvTranspose", "InstanceNormalization", "LeakyRelu", "Mul"}

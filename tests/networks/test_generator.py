@@ -18,32 +18,35 @@ from ablate.networks import (
     inputs,
 )
 from ablate.networks.generator import _GOLDEN, _mix
-from support.variants import OUTSIDE, VARIANTS, maps_of
+from support.variants import LABELS, OUTSIDE, VARIANTS, random_maps
 
 
-def make(seed: int = 0, **changes: object) -> Generator:
-    torch.manual_seed(seed)
+def make(labels: int = 1, **changes: object) -> Generator:
+    torch.manual_seed(0)
     defaults: dict = {"depth": 3, "width": 0.1}
-    return Generator(GeneratorSpec(**{**defaults, **changes})).eval()
+    return Generator(GeneratorSpec(**{**defaults, **changes}), labels).eval()
 
 
 def maps(height: int = 24, width: int = 32, batch: int = 2, labels: int = 1) -> dict[str, Tensor]:
-    return {**maps_of(GeneratorSpec(labels=labels), batch, height, width), "noise_seed": torch.arange(batch)}
+    return {**random_maps(labels, batch, height, width), "noise_seed": torch.arange(batch)}
 
 
 LARGE = {(1024, 1023): {}, (1, 1024): {"depth": 8}, (999, 3): {"depth": 8}, (1023, 65): VARIANTS["concat"]}
 
 
 @pytest.mark.parametrize(
-    ("size", "changes"),
+    ("size", "labels", "changes"),
     [
-        *product([(1, 1), (8, 8), (13, 30), (25, 33)], VARIANTS.values()),
-        *((size, {"width": 0.02, **changes}) for size, changes in LARGE.items()),
+        *(
+            (size, LABELS[variant], VARIANTS[variant])
+            for size, variant in product([(1, 1), (8, 8), (13, 30), (25, 33)], VARIANTS)
+        ),
+        *((size, 1, {"width": 0.02, **changes}) for size, changes in LARGE.items()),
     ],
 )
-def test_any_size_comes_back_in_range(size: tuple[int, int], changes: dict) -> None:
+def test_any_size_comes_back_in_range(size: tuple[int, int], labels: int, changes: dict) -> None:
     with torch.inference_mode():
-        image = make(**changes)(**maps(*size, labels=changes.get("labels", 1)))
+        image = make(labels, **changes)(**maps(*size, labels=labels))
     assert image.shape == (2, 1, *size)
     assert image.isfinite().all()
     assert image.abs().max() <= 1
@@ -65,8 +68,8 @@ def test_at_depth_8_a_crop_of_256_ends_in_one_pixel_that_is_not_normalised() -> 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_parameter_is_used(variant: str) -> None:
-    generator = make(**VARIANTS[variant])
-    generator(**maps(labels=generator.spec.labels)).square().mean().backward()
+    generator = make(LABELS[variant], **VARIANTS[variant])
+    generator(**maps(labels=generator.labels)).square().mean().backward()
     unused = [name for name, p in generator.named_parameters() if p.grad is None or not p.grad.any()]
     # A bias before instance norm without a non-linearity between them cancels: pix2pix has them too.
     assert not [name for name in unused if generator.spec.family == "local" or not name.endswith("bias")]
@@ -74,8 +77,8 @@ def test_every_parameter_is_used(variant: str) -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_exactly_the_named_maps_are_read(variant: str) -> None:
-    generator = make(**VARIANTS[variant])
-    given = maps(labels=generator.spec.labels)
+    generator = make(LABELS[variant], **VARIANTS[variant])
+    given = maps(labels=generator.labels)
     reference = generator(**given)
     for name in OUTSIDE:
         changed = generator(**{**given, name: given[name].flip(-1)})
@@ -84,8 +87,8 @@ def test_exactly_the_named_maps_are_read(variant: str) -> None:
 
 @pytest.mark.parametrize("variant", ["sa2h", "compensated", "lsa2h", "beam"])
 def test_padding_is_a_larger_frame_with_nothing_beside_the_fan(variant: str) -> None:
-    generator = make(**{**VARIANTS[variant], **({} if variant == "lsa2h" else {"noise_start": 0.5})})
-    given = maps(21, 30, labels=generator.spec.labels)
+    generator = make(LABELS[variant], **{**VARIANTS[variant], **({} if variant == "lsa2h" else {"noise_start": 0.5})})
+    given = maps(21, 30, labels=generator.labels)
     padded = {name: F.pad(given[name], (0, 2, 0, 3), value=outside) for name, outside in OUTSIDE.items()}
     whole = generator(**padded, noise_seed=given["noise_seed"])
     assert torch.equal(generator(**given), whole[..., :21, :30])
@@ -142,8 +145,8 @@ def test_injected_noise_is_the_weight_times_one_field_a_level() -> None:
 @pytest.mark.parametrize("variant", ["sa2h", "nsa2h"])
 def test_several_draws_of_one_sample_are_its_renderings_one_by_one(variant: str) -> None:
     noisy = {"noise_start": 0.1} if variant == "sa2h" else {}
-    generator = make(**VARIANTS[variant], **noisy)
-    given, other, calls = maps(labels=generator.spec.labels), torch.tensor([7, 8]), 0
+    generator = make(LABELS[variant], **VARIANTS[variant], **noisy)
+    given, other, calls = maps(labels=generator.labels), torch.tensor([7, 8]), 0
     apart = torch.cat([generator(**{**given, "noise_seed": seeds}) for seeds in (given["noise_seed"], other)])
     first = generator.network.stem if variant == "sa2h" else generator.network.down[0]
 
@@ -160,8 +163,8 @@ def test_several_draws_of_one_sample_are_its_renderings_one_by_one(variant: str)
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_bf16_stays_in_bf16_and_close(variant: str) -> None:
-    generator = make(**VARIANTS[variant])
-    given, dtypes = maps(labels=generator.spec.labels), set()
+    generator = make(LABELS[variant], **VARIANTS[variant])
+    given, dtypes = maps(labels=generator.labels), set()
     for layer in generator.network.modules():
         if not list(layer.children()):
             layer.register_forward_pre_hook(lambda _, args: dtypes.add(args[0].dtype))

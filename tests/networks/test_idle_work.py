@@ -8,7 +8,7 @@ import torch
 from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.networks.layers import convolutions
 from support.torch_operations import Operations
-from support.variants import BEAM, UNET, maps_of
+from support.variants import BEAM, BEAM_LABELS, UNET, random_maps
 
 DEPTH = 3
 SIZE = (16, 24)
@@ -29,9 +29,11 @@ VARIANTS: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
 }
 
 
-def traced(changes: dict[str, Any], size: tuple[int, int] = SIZE, seed: int | None = 1) -> tuple[Generator, Operations]:
-    generator = Generator(GeneratorSpec(**{"depth": DEPTH, "width": 0.1, **changes}))
-    maps = maps_of(generator.spec, 1, *size)
+def traced(name: str, size: tuple[int, int] = SIZE, seed: int | None = 1) -> tuple[Generator, Operations]:
+    changes, _ = VARIANTS[name]
+    labels = BEAM_LABELS if name == "beam" else 1
+    generator = Generator(GeneratorSpec(**{"depth": DEPTH, "width": 0.1, **changes}), labels)
+    maps = random_maps(labels, 1, *size)
     with torch.no_grad(), Operations() as operations:
         generator(**maps, noise_seed=None if seed is None else torch.tensor([seed]))
     return generator, operations
@@ -39,8 +41,8 @@ def traced(changes: dict[str, Any], size: tuple[int, int] = SIZE, seed: int | No
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_each_operation_runs_as_often_as_its_component_needs_and_on_as_many_channels(name: str) -> None:
-    changes, expected = VARIANTS[name]
-    generator, operations = traced(changes)
+    _, expected = VARIANTS[name]
+    generator, operations = traced(name)
     counted = {what: operations.counts[operation] for what, operation in OPERATIONS.items()}
     assert counted == {what: expected.get(what, 0) for what in OPERATIONS}
     assert operations.channels == sum(layer.in_channels for layer in convolutions(generator))
@@ -48,7 +50,7 @@ def test_each_operation_runs_as_often_as_its_component_needs_and_on_as_many_chan
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_no_field_is_drawn_without_a_seed_and_nothing_padded_that_fits(name: str) -> None:
-    _, operations = traced(VARIANTS[name][0], seed=None)
+    _, operations = traced(name, seed=None)
     assert not operations.counts["cos"] + operations.counts["addcmul"] + operations.counts["constant_pad_nd"]
-    _, odd = traced(VARIANTS[name][0], size=(15, 23), seed=None)
+    _, odd = traced(name, size=(15, 23), seed=None)
     assert odd.counts["constant_pad_nd"] == len(conditions(GeneratorSpec(**VARIANTS[name][0])))

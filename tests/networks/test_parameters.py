@@ -39,8 +39,16 @@ def test_a_refined_grain_costs_its_convolution_and_every_map_alike() -> None:
     refined = count_generator(GeneratorSpec(grain="refine"))  # type: ignore[arg-type]
     assert refined == whole + (read * 9 + 1) * 64 - narrower_output
     one_map = whole - count_generator(GeneratorSpec(attenuation="none"))  # type: ignore[arg-type]
-    for changes, maps in (({"interfaces": "echo"}, 1), ({"position": "beam"}, 2), ({"labels": 3}, 2)):
+    for changes, maps in (({"interfaces": "echo"}, 1), ({"position": "beam"}, 2)):
         assert count_generator(GeneratorSpec(**changes)) == whole + maps * one_map  # type: ignore[arg-type]
+    assert count_generator(GeneratorSpec(), labels=3) == whole + 2 * one_map
+
+
+def test_a_discriminator_reads_every_channel_of_the_labels() -> None:
+    taps_of_a_channel = 64 * 4 * 4
+    assert (
+        count_discriminator(GeneratorSpec(), labels=3) - count_discriminator(GeneratorSpec()) == 2 * taps_of_a_channel
+    )
 
 
 def test_the_narrowest_network_keeps_four_channels() -> None:

@@ -1,11 +1,13 @@
-"""The receptive field of the layer list against the support of the gradient."""
+"""The receptive field against the support of the gradient, which is measured here on one output at a time."""
 
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, conditions, patch_size, receptive_field
-from support.variants import UNET
+from ablate.networks.families import LocalNetwork
+from support.variants import LABELS, UNET, VARIANTS
 
 
 def columns_of(*gradients: Tensor) -> int:
@@ -27,40 +29,103 @@ def make_linear(network: nn.Module) -> None:
         nn.init.constant_(parameter, 1.0 / fan_in)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        *({"depth": depth} for depth in (1, 2, 3, 4)),
-        pytest.param({"depth": 8}, marks=pytest.mark.slow),
-        {"depth": 2, "attenuation": "none"},
-        {"depth": 2, "noise": "input"},
-        {"depth": 2, "grain": "refine"},
-        {"depth": 2, "grain": "refine", "position": "beam"},
-        {"depth": 2, "labels": 3, "attenuation": "none"},
-        {"depth": 2, "extra_input": "low"},
-        {"depth": 3, "concat": "input"},
-        {"depth": 3, "upsampling": "transposed"},
-        *({**UNET, "depth": depth} for depth in (2, 4)),
-        *({**UNET, "depth": 3, "extra_input": extra} for extra in ("low", "noise")),
-    ],
-)
-def test_generator(changes: dict) -> None:
-    """On a strip that is one pixel of the deepest level high, and wider than the field."""
-    spec = GeneratorSpec(**changes, width=0.01)
-    generator = Generator(spec).double()
+def measured_field(spec: GeneratorSpec, labels: int, near: int) -> int:
+    """The most columns that an output depends on, by its gradient; they are not many more than `near`.
+
+    On a strip that is one pixel of the deepest level high, and wider than the field.
+    """
+    generator = Generator(spec, labels).double()
     make_linear(generator)
-    expected, period = receptive_field(spec), 2**spec.depth
-    width = (expected // period + 3) * period
+    period = 2**spec.depth
+    width = (near // period + 3) * period
     extents = []
     for phase in range(period) if period <= 16 else (period // 2,):
-        channels = {name: spec.labels if name == "segmentation" else 1 for name in conditions(spec)}
+        channels = {name: labels if name == "segmentation" else 1 for name in conditions(spec)}
         maps = {
             name: torch.full((1, count, period, width), 1e-3, dtype=torch.float64, requires_grad=True)
             for name, count in channels.items()
         }
         generator(**maps)[0, 0, period // 2, width // 2 // period * period + phase].backward()
         extents.append(columns_of(*(value.grad for value in maps.values() if value.grad is not None)))
-    assert max(extents) == expected
+    assert max(extents) < width
+    return max(extents)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_variant(variant: str) -> None:
+    spec = GeneratorSpec(**{"depth": 3, **VARIANTS[variant]}, width=0.01)
+    expected = receptive_field(spec, LABELS[variant])
+    assert expected is not None
+    assert measured_field(spec, LABELS[variant], expected) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "labels"),
+    [
+        *(({"depth": depth}, 1) for depth in (1, 2, 4)),
+        pytest.param({"depth": 8}, 1, marks=pytest.mark.slow),
+        ({"depth": 2, "grain": "refine"}, 1),
+        ({"depth": 2, "attenuation": "none"}, 3),
+        *(({**UNET, "depth": depth}, 1) for depth in (2, 4)),
+    ],
+)
+def test_other_depths_and_labels(changes: dict, labels: int) -> None:
+    spec = GeneratorSpec(**changes, width=0.01)
+    expected = receptive_field(spec, labels)
+    assert expected is not None
+    assert measured_field(spec, labels, expected) == expected
+
+
+class Whiskered(LocalNetwork):
+    """With a made-up component: a wide convolution, dilated and gated, before the stem, in a layer of an odd name."""
+
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
+        super().__init__(spec, labels)
+        channels = self.stem.in_channels
+        self.whiskers = nn.Conv2d(channels, channels, 3, padding=4, dilation=4)
+        self.gain = nn.Parameter(torch.ones(channels, 1, 1))
+
+    def forward(self, stacked: Tensor, maps: list[Tensor | None], noise: list[Tensor | None]) -> Tensor:
+        felt = self.gain * F.gelu(self.whiskers(stacked))
+        return super().forward(stacked + felt * torch.sigmoid(felt), maps, noise)
+
+
+def test_a_component_of_any_name_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = GeneratorSpec(depth=2, concat="input", width=0.01)  # type: ignore[arg-type]
+    without = receptive_field(spec)
+    monkeypatch.setattr("ablate.networks.generator.LocalNetwork", Whiskered)
+    expected = receptive_field(spec)
+    assert without is not None
+    assert expected == without + 2 * 4
+    assert measured_field(spec, 1, expected) == expected
+
+
+class Bilinear(LocalNetwork):
+    def forward(self, stacked: Tensor, maps: list[Tensor | None], noise: list[Tensor | None]) -> Tensor:
+        halved = F.interpolate(stacked, scale_factor=0.5, mode="bilinear")
+        return super().forward(F.interpolate(halved, scale_factor=2, mode="bilinear"), maps, noise)
+
+
+class Softmax(LocalNetwork):
+    def forward(self, stacked: Tensor, maps: list[Tensor | None], noise: list[Tensor | None]) -> Tensor:
+        return super().forward(stacked.softmax(-1), maps, noise)
+
+
+@pytest.mark.parametrize(("network", "operation"), [(Bilinear, "interpolate"), (Softmax, "softmax")])
+def test_what_cannot_be_followed_is_named_and_not_wrong_in_silence(
+    monkeypatch: pytest.MonkeyPatch, network: type[LocalNetwork], operation: str
+) -> None:
+    monkeypatch.setattr("ablate.networks.generator.LocalNetwork", network)
+    with pytest.raises(ValueError, match=f"network with {operation} is unknown: it has no rule"):
+        receptive_field(GeneratorSpec(depth=2))
+
+
+def test_measuring_leaves_the_random_numbers_alone() -> None:
+    torch.manual_seed(3)
+    expected = torch.rand(1)
+    torch.manual_seed(3)
+    receptive_field(GeneratorSpec(depth=1))
+    assert torch.equal(torch.rand(1), expected)
 
 
 def test_discriminator_judges_patches_of_70() -> None:

@@ -143,12 +143,28 @@ def test_labels_without_a_tissue_and_tissues_of_other_properties_are_refused(fra
     with pytest.raises(ValueError, match="the frame has a label 3, and there are 2 tissues"):
         made().render(frame, TISSUES[:2])
     of_properties = values_of(TISSUES, label_values(TISSUES, Encoding.properties))
-    spec = replace(made().generator.spec, labels=3)
-    renderer = replace(made(), generator=Generator(spec).eval(), values=of_properties)
+    renderer = replace(made(), generator=Generator(made().generator.spec, labels=3).eval(), values=of_properties)
     assert renderer.render(frame, TISSUES).shape == SHAPE
     for changed in ({"scatterer_sd": 2.0}, {"impedance_mrayl": 1.5}):
         with pytest.raises(ValueError, match="tissue 'blood': its properties are not those of the training"):
             renderer.render(frame, [*TISSUES[:2], replace(TISSUES[2], **changed)])
+
+
+def test_a_class_that_only_a_file_names_is_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trace = tmp_path / "ran"
+    (tmp_path / "writes_a_file.py").write_text(f"open({str(trace)!r}, 'w').close()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    save(made(), tmp_path / "own.pt")
+    content = torch.load(tmp_path / "own.pt", weights_only=True)
+    content["spec"] |= {"family": "custom", "target": "writes_a_file.Net", "concat": "input", "noise": "none"}
+    content["spec"]["upsampling"] = "transposed"
+    torch.save(content, tmp_path / "own.pt")
+    with pytest.raises(ValueError, match=r"own\.pt: .* only the file names: custom='writes_a_file\.Net' lets"):
+        load(tmp_path / "own.pt")
+    assert not trace.exists()
+    with pytest.raises(ValueError, match="AttributeError"):  # the module has no such class, but it was imported
+        load(tmp_path / "own.pt", custom="writes_a_file.Net")
+    assert trace.exists()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -45,12 +45,12 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     (begun,) = jobs_of([*sizes, "variant=custom", "model.target=toy_networks.Toy", "seed=1"])
     assert begun.identity["model"] == known
     trained = folder / "last.ckpt"
-    assert load_generator(trained).spec.target == "toy_networks.Toy"
+    assert load_generator(trained, custom="toy_networks.Toy").spec.target == "toy_networks.Toy"
     monkeypatch.delitem(sys.modules, "toy_networks")
     with pytest.raises(ConfigurationError, match=r"toy_networks\.Toy: edited since the sweep began; repeat"):
         do(begun)
     with pytest.raises(ValueError, match=r"last\.ckpt: the code of toy_networks\.Toy is not that of the training"):
-        load_generator(trained)
+        load_generator(trained, custom="toy_networks.Toy")
     (edited,) = jobs_of([*sizes, "variant=custom", "model.target=toy_networks.Toy"])
     assert edited.folder != folder, "edited code is another training"
 

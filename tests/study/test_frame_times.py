@@ -235,9 +235,11 @@ def test_a_network_has_the_time_of_its_own_maps_whoever_stands_beside_it(
 
 def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:
     for label, checkpoint in (("theirs", True), ("lost", False)):
-        write_run(study, label, 3.0 + checkpoint, checkpoint=checkpoint, family="custom")
+        write_run(study, label, 3.0 + checkpoint, checkpoint=checkpoint, family="custom", target="my_nets.Net")
     time_networks(study, runs_of(study))
-    assert measured == [{"sa2h/seed0", "nsa2h/seed0", "theirs/seed0"}]
+    assert measured == [{"sa2h/seed0", "nsa2h/seed0"}], "code that only a file names is not imported"
+    time_networks(study, runs_of(study), {"my_nets.Net"})
+    assert measured[1] == {"sa2h/seed0", "nsa2h/seed0", "theirs/seed0"}
 
 
 def test_what_cannot_be_timed_is_said(study: Path) -> None:

@@ -22,9 +22,9 @@ from ablate.networks import (
 from ablate.networks.spec import scaled
 
 
-def channels_of(names: tuple[str, ...], spec: GeneratorSpec) -> int:
+def channels_of(names: tuple[str, ...], labels: int) -> int:
     """Channels of these maps as the generator's convolutions read them."""
-    return sum(spec.labels if name == "segmentation" else 1 for name in names)
+    return sum(labels if name == "segmentation" else 1 for name in names)
 
 
 class PlainDownBlock(nn.Module):
@@ -65,15 +65,16 @@ class PlainUpBlock(nn.Module):
 class PlainLocal(nn.Module):
     """The local generator; its parameters are named as those of `LocalNetwork`."""
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
         self.spec = spec
+        self.labels = labels
         channels = (64, 128, 128, 256, *[512] * spec.depth)[: spec.depth + 1]
         widths = [scaled(count, spec.width) for count in channels]
         self.fed = 0
         if spec.concat is Concat.every_level:
-            self.fed = channels_of(tuple(name for name in conditions(spec) if name != "low"), spec)
-        self.stem = nn.Conv2d(channels_of(inputs(spec), spec), widths[0], 3, padding=1)
+            self.fed = channels_of(tuple(name for name in conditions(spec) if name != "low"), labels)
+        self.stem = nn.Conv2d(channels_of(inputs(spec), labels), widths[0], 3, padding=1)
         self.norms = nn.ModuleList(nn.InstanceNorm2d(count) for count in (widths[0], widths[-1]))
         self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed) for fine, coarse in pairwise(widths))
         self.bottleneck = nn.Conv2d(widths[-1] + self.fed, widths[-1], 3, padding=1)
@@ -103,7 +104,7 @@ class PlainLocal(nn.Module):
     def resized(self, stacked: Tensor, level: int) -> list[Tensor]:
         """The maps that every level reads, at 1 / 2^level of the resolution."""
         size = [length >> level for length in stacked.shape[-2:]]
-        order = int(self.fed > 0 and self.spec.labels == 1)
+        order = int(self.fed > 0 and self.labels == 1)
         maps = [F.interpolate(stacked[:, :1], size, mode="nearest")] if order else []
         if self.fed > order:
             maps.append(F.interpolate(stacked[:, order : self.fed], size, mode="area"))
@@ -113,11 +114,11 @@ class PlainLocal(nn.Module):
 class PlainUNet(nn.Module):
     """pix2pix's U-Net without dropout; its parameters are named as those of `UNetwork`."""
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
         self.spec = spec
         widths = [scaled((64, 128, 256, 512)[min(level, 3)], spec.width) for level in range(spec.depth)]
-        channels = [channels_of(inputs(spec), spec), *widths]
+        channels = [channels_of(inputs(spec), labels), *widths]
         self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in pairwise(channels))
         out = [*reversed(widths[:-1]), 1]
         into = [widths[-1], *(2 * width for width in out[:-1])]

@@ -67,7 +67,7 @@ def test_a_signal_is_handled_after_exported_engines_were_freed(tmp_path: Path) -
 @pytest.mark.skipif(missing_for(Engine.exported, CPU) is not None, reason="needs the extra export")
 def test_the_documented_export_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (Path(__file__).parents[2] / "docs" / "networks.md").read_text()
-    example = re.search("```python\n(.*?)```", page, re.DOTALL)
+    example = re.search("## Export.*?```python\n(.*?)```", page, re.DOTALL)
     folder = re.search(r'Path\("(runs/.*?)"\)', page)
     assert example is not None
     assert folder is not None

@@ -3,6 +3,7 @@
 import errno
 import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -20,7 +21,6 @@ from ablate.training import (
     LAST,
     TRAINING_VERSION,
     Loader,
-    Schedule,
     load_generator,
     read_checkpoint,
     train,
@@ -125,13 +125,6 @@ def test_after_a_stop_with_other_losses_and_learning_rates(tmp_path: Path, optio
     load_generator(tmp_path / "whole" / LAST)
 
 
-def test_a_falling_learning_rate_goes_on_with_the_same_number_of_steps_only(tmp_path: Path) -> None:
-    settings = replace(SETTINGS, schedule=Schedule.linear)
-    train(SPEC, replace(settings, steps=4), loader, tmp_path)
-    with pytest.raises(ValueError, match=r"of another run \(steps=4 there, 8 asked for\)"):
-        train(SPEC, settings, loader, tmp_path)
-
-
 def test_after_a_process_was_killed_while_a_checkpoint_took_the_place_of_another(
     whole: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,7 +148,8 @@ def test_after_a_process_was_killed_while_a_checkpoint_took_the_place_of_another
 
 def test_moments_laid_out_otherwise_are_the_same_moments(whole: Callable[[str], Path], tmp_path: Path) -> None:
     """Fused Adam reads weights and moments by their place in memory."""
-    train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path / "resumed")
+    with pytest.raises(OSError, match="disk gone"):
+        train(SPEC, SETTINGS, loader_until(5, crash), tmp_path / "resumed")
     checkpoint = read_checkpoint(tmp_path / "resumed" / LAST)
     for optimizer in checkpoint["optimizer_states"]:
         for state in optimizer["state"].values():
@@ -202,17 +196,16 @@ def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(tmp_path: 
     assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
 
-def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(
+def test_a_finished_run_is_not_trained_again_and_a_shorter_one_is_another_run(
     whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     def forbidden(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
         raise AssertionError((start, stop))
 
-    train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path)
-    train(SPEC, replace(SETTINGS, steps=5), forbidden, tmp_path)
     train(SPEC, SETTINGS, lambda start, stop: loader(start, stop + 3), tmp_path)  # what goes on is not trained with
-    assert_same(*(read_checkpoint(folder / LAST)["state_dict"] for folder in (tmp_path, whole("fp32"))))
-    with pytest.raises(ValueError, match=rf"last.ckpt: has {SETTINGS.steps} steps, 5 are asked for"):
+    assert_same_state(tmp_path, whole("fp32"))
+    train(SPEC, SETTINGS, forbidden, tmp_path)
+    with pytest.raises(ValueError, match=rf"last.ckpt: of another run \(steps={SETTINGS.steps} there, 5 asked for"):
         train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path)
 
 
@@ -251,6 +244,26 @@ def test_another_run_in_the_same_place_is_refused_with_the_difference(
         train(SPEC, replace(SETTINGS, l1_weight=10.0), loader, tmp_path)
     with pytest.raises(ValueError, match="depth=2 there, 3 asked for"):
         train(replace(SPEC, depth=3), SETTINGS, loader, tmp_path)
+    with pytest.raises(ValueError, match=r"of another run \(labels=1 there, 3 asked for\)"):
+        train(SPEC, SETTINGS, loader, tmp_path, labels=3)
+
+
+def test_incidental_settings_may_differ(whole: Callable[[str], Path], tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="disk gone"):
+        train(SPEC, replace(SETTINGS, checkpoint_every=1), loader_until(4, crash), tmp_path)
+    assert train(SPEC, replace(SETTINGS, validate_every=3, log_every=1), loader, tmp_path).resumed_at >= 1
+    assert_same_state(whole("fp32"), tmp_path)
+
+
+def test_a_checkpoint_says_how_many_channels_its_labels_have(tmp_path: Path) -> None:
+    def encoded(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for batch in loader(start, stop):
+            yield batch | {"segmentation": batch["segmentation"].repeat(1, 3, 1, 1)}
+
+    trained = train(SPEC, SETTINGS, encoded, tmp_path, labels=3)
+    loaded = load_generator(trained.checkpoint)
+    assert loaded.labels == 3
+    assert_same(loaded.state_dict(), trained.generator.state_dict())
 
 
 def test_a_checkpoint_of_another_version_is_refused(whole: Callable[[str], Path], tmp_path: Path) -> None:
@@ -272,7 +285,8 @@ def test_a_run_keeps_the_precision_that_automatic_stood_for(
 
     automatic = replace(SETTINGS, precision="auto")
     machine(began)
-    train(SPEC, replace(automatic, steps=3), loader, tmp_path)
+    with pytest.raises(OSError, match="disk gone"):
+        train(SPEC, automatic, loader_until(5, crash), tmp_path)
     machine(goes_on)
     with pytest.raises(ValueError, match=rf"of another run \(precision={began} there, {goes_on} asked for\)"):
         train(SPEC, automatic, loader, tmp_path)
@@ -307,6 +321,42 @@ def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path: Path) -> Non
         with pytest.raises(ValueError, match=r"last\.ckpt: not a readable checkpoint"):
             attempt()
     assert not trace.exists()
+
+
+TOUCHES = """
+from pathlib import Path
+from torch import nn
+
+Path(__file__).with_name("ran").touch()
+
+class Net(nn.Conv2d):
+    def __init__(self, channels):
+        super().__init__(channels, 1, 1)
+"""
+
+
+def test_a_class_that_only_the_checkpoint_names_is_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "touches.py").write_text(TOUCHES)
+    monkeypatch.syspath_prepend(tmp_path)
+    trace = tmp_path / "ran"
+    plain: dict[str, Any] = {"concat": "input", "upsampling": "transposed", "noise": "none"}
+    spec = GeneratorSpec(family="custom", target="touches.Net", depth=2, **plain)  # type: ignore[arg-type]
+    trained = train(spec, replace(SETTINGS, steps=1), loader, tmp_path / "run")
+    trace.unlink()
+    monkeypatch.delitem(sys.modules, "touches")
+    for named in (None, "another.Net"):
+        with pytest.raises(
+            ValueError, match=r"last\.ckpt: .* only the file names: custom='touches\.Net' lets"
+        ) as caught:
+            load_generator(trained.checkpoint, custom=named)
+        assert "\n" not in str(caught.value)
+    read_checkpoint(trained.checkpoint)
+    assert not trace.exists()
+    loaded = load_generator(trained.checkpoint, custom="touches.Net")
+    assert trace.exists()
+    assert_same(loaded.state_dict(), trained.generator.state_dict())
 
 
 def test_weights_of_another_variant_are_refused(whole: Callable[[str], Path], tmp_path: Path) -> None:

@@ -17,12 +17,14 @@ from ablate.training.inference import autocast
 from ablate.ultrasound import ConvexProbe
 from support.tiny_training import SETTINGS, SPEC, batch
 from support.torch_operations import Operations
-from support.variants import BEAM
+from support.variants import BEAM, BEAM_LABELS
 
 
-def module(spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.MonkeyPatch) -> PairGAN:
+def module(
+    spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.MonkeyPatch, labels: int = 1
+) -> PairGAN:
     """A module with its optimisers, as it is within a Trainer."""
-    made = PairGAN(spec, settings).to(settings.device)
+    made = PairGAN(spec, settings, labels).to(settings.device)
     optimizers = made.configure_optimizers()
     monkeypatch.setattr(made, "optimizers", lambda: optimizers)
     monkeypatch.setattr(made, "manual_backward", lambda loss: loss.backward())
@@ -99,7 +101,7 @@ def test_a_step_on_a_whole_frame_in_beam_space(tmp_path: Path, monkeypatch: pyte
     values = rng.uniform(-1, 1, (3, 3)).astype(np.float32)
     settings = CropSettings(size=0, batch_size=1, flip=True, space=Space.beam)
     crops = Crops(pairs, np.arange(1), frozenset(conditions(spec)), values, settings)
-    made = module(spec, replace(SETTINGS, crop=0, batch_size=1), monkeypatch)
+    made = module(spec, replace(SETTINGS, crop=0, batch_size=1), monkeypatch, BEAM_LABELS)
     mirrored = set()
     for step in range(8):
         given = crops[step]

@@ -18,7 +18,7 @@ CASES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "without a discriminator": ({"attenuation": "none"}, {"loss": "none", "schedule": "linear"}),
     "minimax": ({"attenuation": "compensated", "noise": "input", "noise_start": 0.0}, {"loss": "minimax"}),
     "transposed": ({"upsampling": "transposed", "concat": "input"}, {}),
-    "in beam space": ({**BEAM, "labels": 1}, {"reconstruction": "crps"}),
+    "in beam space": (BEAM, {"reconstruction": "crps"}),
     "U-Net": ({**UNET, "depth": 5, "noise_start": 0.0, "extra_input": "noise"}, {}),
 }
 ADAM = {"lr": 2e-4, "betas": (0.5, 0.999), "eps": 1e-8, "weight_decay": 0, "amsgrad": False}

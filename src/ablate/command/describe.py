@@ -76,22 +76,22 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
 
 def _row(settings: StudySettings) -> dict[str, object]:
     values = label_values(tuple(load_tissues().values()), settings.encoding)
-    spec = replace(settings.model, labels=values.shape[1])
+    spec, labels = settings.model, values.shape[1]
     rows = settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {
         **named_components(spec),
-        **_field(spec, "field", *_height(spec.space, settings.simulator, settings.probe)),
-        "total_here": sum(parameters(settings, spec).values()),
+        **_field(spec, labels, "field", *_height(spec.space, settings.simulator, settings.probe)),
+        "total_here": sum(parameters(settings, spec, labels).values()),
         "paper_depth": at_paper,
     }
     if at_paper is None:
         return row
     paper = replace(spec, width=1.0, depth=at_paper)
     at_width_1 = replace(settings.training, discriminator_width=None)
-    generator, discriminator = parameters(replace(settings, training=at_width_1), paper).values()
+    generator, discriminator = parameters(replace(settings, training=at_width_1), paper, labels).values()
     sizes = {"generator": generator, "discriminator": discriminator, "total": generator + discriminator}
-    return row | _field(paper, "paper_field", *_height(spec.space, SimulatorSettings(), ConvexProbe())) | sizes
+    return row | _field(paper, labels, "paper_field", *_height(spec.space, SimulatorSettings(), ConvexProbe())) | sizes
 
 
 def _height(space: Space, simulator: SimulatorSettings, probe: Probe) -> tuple[int, float]:
@@ -101,8 +101,8 @@ def _height(space: Space, simulator: SimulatorSettings, probe: Probe) -> tuple[i
     return simulator.image_shape[0], fan_of(probe).size_mm[0]
 
 
-def _field(spec: GeneratorSpec, name: str, rows: int, height_mm: float) -> dict[str, object]:
-    px = networks.receptive_field(spec)
+def _field(spec: GeneratorSpec, labels: int, name: str, rows: int, height_mm: float) -> dict[str, object]:
+    px = networks.receptive_field(spec, labels)
     if px is None:
         return dict.fromkeys((f"{name}_px", f"{name}_mm", f"{name}_percent"))
     return {f"{name}_px": px, f"{name}_mm": px * height_mm / rows, f"{name}_percent": 100 * px / rows}

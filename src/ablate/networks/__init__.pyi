@@ -4,11 +4,11 @@ from .families import check_custom as check_custom
 from .families import discriminator_channels as discriminator_channels
 from .generator import Generator as Generator
 from .generator import gaussian_field as gaussian_field
+from .receptive_field import patch_size as patch_size
+from .receptive_field import receptive_field as receptive_field
 from .sizes import count_discriminator as count_discriminator
 from .sizes import count_generator as count_generator
 from .sizes import count_parameters as count_parameters
-from .sizes import patch_size as patch_size
-from .sizes import receptive_field as receptive_field
 from .spec import Attenuation as Attenuation
 from .spec import Concat as Concat
 from .spec import ExtraInput as ExtraInput

@@ -27,10 +27,13 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for
     example of `generator.draw_noise`, or zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1],
     not masked, in the space that the generator works in; with `places` the file also contains the scan conversion, and
-    the output is the image, -1 outside the fan. The metadata hold the specification as JSON under `spec`.
+    the output is the image, -1 outside the fan. The metadata hold the specification as JSON under `spec`, and the
+    number of channels of the segmentation under `labels`.
 
     Parameters
     ----------
+    generator : Generator
+        Its device makes no difference to the file.
     path : Path
         Replaced when the new file is whole.
     height, width : int
@@ -54,9 +57,10 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
         raise ValueError(f"places: allowed with model.space=beam, not {generator.spec.space}")
     device = next(generator.parameters()).device
     frame = _Frame(deepcopy(generator), height, width, places).to(device).eval()
-    channels = [generator.spec.labels] + [1] * (len(frame.maps) - 1)  # the segmentation is the first of the maps
-    shapes = [(n, height, width) for n in channels] + [(1, *size) for size in frame.sizes.values()]
-    arguments = tuple(torch.zeros(1, *shape, device=device) for shape in shapes)
+    channels = {"segmentation": generator.labels}
+    map_shapes = [(1, channels.get(name, 1), height, width) for name in frame.maps]
+    noise_shapes = [(1, 1, *size) for size in frame.sizes.values()]
+    arguments = tuple(torch.zeros(shape, device=device) for shape in (*map_shapes, *noise_shapes))
     names = [*frame.maps, *frame.sizes]
     for package in ("torch.onnx", "onnxscript"):  # they tell of optional packages, and of weights that stay split
         logging.getLogger(package).setLevel(logging.ERROR)
@@ -67,7 +71,8 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
         )
     assert program is not None
     model = program.model_proto
-    onnx.helper.set_model_props(model, {"spec": json.dumps(asdict(generator.spec))})
+    metadata = {"spec": json.dumps(asdict(generator.spec)), "labels": str(generator.labels)}
+    onnx.helper.set_model_props(model, metadata)
     onnx.checker.check_model(model, full_check=True)
     with written_whole(path) as partial:
         onnx.save(model, partial)
@@ -81,15 +86,22 @@ class _Frame(nn.Module):
 
     def __init__(self, generator: Generator, height: int, width: int, places: np.ndarray | None) -> None:
         super().__init__()
-        self.register_buffer("places", None if places is None else torch.from_numpy(np.nan_to_num(places))[None])
-        self.register_buffer("fan", None if places is None else torch.from_numpy(~np.isnan(places[..., 0])).float())
         self.generator = generator
-        self.maps, self.sizes = conditions(generator.spec), generator.noise_sizes(height, width)
+        self.maps = conditions(generator.spec)
+        self.sizes = generator.noise_sizes(height, width)
+        self.register_buffer("places", None)
+        self.register_buffer("fan", None)
+        if places is not None:
+            self.places = torch.from_numpy(np.nan_to_num(places))[None]
+            self.fan = torch.from_numpy(~np.isnan(places[..., 0])).float()
 
     def forward(self, *tensors: Tensor) -> Tensor:
         """Render (1, 1, H, W), of the frame or of the image."""
-        given = dict(zip(self.maps, tensors, strict=False))
-        frame = self.generator.render(given, dict(zip(self.sizes, tensors[len(self.maps) :], strict=True)))
+        count = len(self.maps)
+        maps = dict(zip(self.maps, tensors[:count], strict=True))
+        noise = dict(zip(self.sizes, tensors[count:], strict=True))
+        frame = self.generator.render(maps, noise)
         if self.places is None:
             return frame
-        return self.fan * (F.grid_sample(frame, self.places, padding_mode="border", align_corners=True) + 1) - 1
+        image = F.grid_sample(frame, self.places, padding_mode="border", align_corners=True)
+        return self.fan * (image + 1) - 1

@@ -58,10 +58,16 @@ class UpBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
-        has_two = spec.upsampling is Upsampling.texture
-        kernel, output_padding = (3, 1) if has_two else (4, 0)
-        self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
-        self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1) if has_two else None
+        self.grow: JointTransposedConvolution
+        self.refine: JointConvolution | None
+        if spec.upsampling is Upsampling.texture:
+            self.grow = JointTransposedConvolution(
+                channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1
+            )
+            self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
+        else:
+            self.grow = JointTransposedConvolution(channels_in + maps, channels_out, 4, stride=2, padding=1)
+            self.refine = None
         weight = torch.full((2 * channels_out, 1, 1), float(spec.noise_start))
         self.noise_weight = nn.Parameter(weight) if spec.noise is Noise.inject else None
 
@@ -73,32 +79,55 @@ class UpBlock(nn.Module):
         fine_maps: Tensor | None,
         noise: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
-        """Double the size of features (N, C, H, W); they and `skip` are returned, with `noise` (N, 1, 2H, 2W)."""
+        """Double the size of the features, add noise to them and to the skip connection, and return both.
+
+        Parameters
+        ----------
+        features : sequence of (N, C, H, W)
+            Read together; their channels add up to `channels_in`.
+        skip : (N, channels_out, 2H, 2W)
+            Features of the encoder at the resolution of the result.
+        coarse_maps : (N, K, H, W), optional
+            Maps that the enlarging convolution reads.
+        fine_maps : (N, K, 2H, 2W), optional
+            Maps that the convolution of stride 1 reads.
+        noise : (N, 1, 2H, 2W), optional
+            Standard normal; None adds nothing.
+
+        Returns
+        -------
+        two of (N, channels_out, 2H, 2W)
+            The enlarged features and the skip connection.
+        """
         grown = instance_norm(F.relu(self.grow(*features, coarse_maps)))
         if self.refine is not None:
             grown = instance_norm(F.relu(self.refine(grown, fine_maps)))
         if self.noise_weight is None or noise is None:
             return grown, skip
-        noise, (of_grown, of_skip) = noise.to(grown.dtype), self.noise_weight.to(grown.dtype).chunk(2)
-        return torch.addcmul(grown, noise, of_grown), torch.addcmul(skip, noise, of_skip)
+        noise = noise.to(grown.dtype)
+        grown_weight, skip_weight = self.noise_weight.to(grown.dtype).chunk(2)
+        return torch.addcmul(grown, noise, grown_weight), torch.addcmul(skip, noise, skip_weight)
 
 
 class LocalNetwork(nn.Module):
     """Stem, `depth` down blocks, bottleneck, `depth` up blocks, output convolution."""
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
         channels = (LOCAL_WIDTHS + LOCAL_WIDTHS[-1:] * spec.depth)[: spec.depth + 1]
         widths = [scaled(count, spec.width) for count in channels]
-        maps = fed_channels(spec)
-        self.stem = nn.Conv2d(input_channels(spec), widths[0], 3, padding=1)
+        maps = fed_channels(spec, labels)
+        self.stem = nn.Conv2d(input_channels(spec, labels), widths[0], 3, padding=1)
         self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
         self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
         coarse_to_fine = pairwise(reversed(widths))
         self.up = nn.ModuleList(UpBlock(2 * coarse, fine, maps, spec) for coarse, fine in coarse_to_fine)
-        refines = spec.grain is Grain.refine
-        self.grain = JointConvolution(2 * widths[0] + maps, widths[0], 3, padding=1) if refines else None
-        self.output = JointConvolution((1 if refines else 2) * widths[0] + maps, 1, 3, padding=1)
+        self.grain: JointConvolution | None = None
+        last_features = 2 * widths[0]
+        if spec.grain is Grain.refine:
+            self.grain = JointConvolution(2 * widths[0] + maps, widths[0], 3, padding=1)
+            last_features = widths[0]
+        self.output = JointConvolution(last_features + maps, 1, 3, padding=1)
 
     def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
         """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (k N, 1, H, W) in [-1, 1].
@@ -114,11 +143,11 @@ class LocalNetwork(nn.Module):
             features = block(features, maps[level], maps[level + 1])
         bottom = instance_norm(F.leaky_relu(self.bottleneck(features, maps[-1]), LEAK))
         if noise[0] is None or len(noise[0]) == len(stacked):
-            return self._decoded((bottom, features), skips, maps, noise)
+            return self._decode((bottom, features), skips, maps, noise)
         draws = zip(*(field.split(len(stacked)) for field in noise if field is not None), strict=True)
-        return torch.cat([self._decoded((bottom, features), skips, maps, fields) for fields in draws])
+        return torch.cat([self._decode((bottom, features), skips, maps, fields) for fields in draws])
 
-    def _decoded(
+    def _decode(
         self,
         features: tuple[Tensor, Tensor],
         skips: Sequence[Tensor],
@@ -127,9 +156,10 @@ class LocalNetwork(nn.Module):
     ) -> Tensor:
         for level, block in zip(reversed(range(len(skips))), self.up, strict=True):
             features = block(features, skips[level], maps[level + 1], maps[level], noise[level])
-        if self.grain is not None:
-            return torch.tanh(self.output(F.leaky_relu(self.grain(*features, maps[0]), LEAK), maps[0]))
-        return torch.tanh(self.output(*features, maps[0]))
+        if self.grain is None:
+            return torch.tanh(self.output(*features, maps[0]))
+        refined = F.leaky_relu(self.grain(*features, maps[0]), LEAK)
+        return torch.tanh(self.output(refined, maps[0]))
 
 
 class UNetwork(nn.Module):
@@ -139,14 +169,20 @@ class UNetwork(nn.Module):
     a bias in every convolution. It has no dropout, because the paper mentions none and a rendering must be repeatable.
     """
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
-        widths = [scaled(UNET_WIDTHS[min(level, len(UNET_WIDTHS) - 1)], spec.width) for level in range(spec.depth)]
-        shrink = pairwise((input_channels(spec), *widths))
-        self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in shrink)
-        out = (*reversed(widths[:-1]), 1)
-        grow = zip((widths[-1], *(2 * width for width in out)), out, strict=False)
-        self.up = nn.ModuleList(JointTransposedConvolution(a, b, 4, stride=2, padding=1) for a, b in grow)
+        channels = (UNET_WIDTHS + UNET_WIDTHS[-1:] * spec.depth)[: spec.depth]
+        widths = [scaled(count, spec.width) for count in channels]
+        shrink = pairwise((input_channels(spec, labels), *widths))
+        self.down = nn.ModuleList(
+            nn.Conv2d(channels_in, channels_out, 4, stride=2, padding=1) for channels_in, channels_out in shrink
+        )
+        grown = (*reversed(widths[:-1]), 1)
+        read = (widths[-1], *(2 * width for width in grown[:-1]))  # each but the first with its skip connection
+        self.up = nn.ModuleList(
+            JointTransposedConvolution(channels_in, channels_out, 4, stride=2, padding=1)
+            for channels_in, channels_out in zip(read, grown, strict=True)
+        )
 
     def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
         """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
@@ -168,7 +204,7 @@ class PatchDiscriminator(nn.Module):
     Parameters
     ----------
     in_channels : int
-        Conditions and image together: `discriminator_channels(spec)`.
+        Conditions and image together: `discriminator_channels(spec, labels)`.
     width : float
         Multiplier of the channel counts 64, 128, 256, 512.
 
@@ -201,9 +237,9 @@ class PatchDiscriminator(nn.Module):
         return cast(Tensor, self.last(features))
 
 
-def discriminator_channels(spec: GeneratorSpec) -> int:
-    """Count the input channels of this generator's discriminator: conditions and image."""
-    return spec.labels + len(conditions(spec))
+def discriminator_channels(spec: GeneratorSpec, labels: int = 1) -> int:
+    """Count the input channels of this generator's discriminator: its conditions, and the image."""
+    return labels + len(conditions(spec))
 
 
 class CustomNetwork(nn.Module):
@@ -212,9 +248,10 @@ class CustomNetwork(nn.Module):
     A path that leads to no `torch.nn.Module`, or to a class that cannot be made, is a ValueError.
     """
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
-        self.target, channels = str(spec.target), input_channels(spec)
+        self.target = str(spec.target)
+        channels = input_channels(spec, labels)
         try:
             network_class = load(self.target)
         except ValueError as error:
@@ -240,23 +277,26 @@ class CustomNetwork(nn.Module):
         return image
 
 
-def check_custom(spec: GeneratorSpec, side: int) -> None:
+def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
     """Try a training step on two images of `side` px; a ValueError names the class and what is wrong."""
-    network = CustomNetwork(spec)
+    network = CustomNetwork(spec, labels)
     if any(isinstance(parameter, UninitializedParameter) for parameter in network.parameters()):
         raise ValueError(f"target={spec.target}: has parameters without a size (lazy layers); give them one")
     if not any(parameter.requires_grad for parameter in network.parameters()):
         raise ValueError(f"target={spec.target}: has no parameter to train")
     side += -side % 2**spec.depth
-    maps = torch.rand(2, input_channels(spec), side, side, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    random = torch.Generator().manual_seed(0)
+    maps = torch.rand(2, input_channels(spec, labels), side, side, generator=random) * 2 - 1
     try:
         image = network(maps, [], [])
-        wrong = _wrong_with(image)
-        if not wrong:
+        fault = _fault_of(image)
+        if not fault:
             image.mean().backward()
-            once, again = (network.eval()(maps, [], []) for _ in range(2))  # as it renders once it is trained
-            wrong = _wrong_with(once) or _wrong_with(again)
-            if not wrong and not torch.allclose(once, again, atol=0.01):
+            network.eval()  # as it renders once it is trained
+            once = network(maps, [], [])
+            again = network(maps, [], [])
+            fault = _fault_of(once) or _fault_of(again)
+            if not fault and not torch.allclose(once, again, atol=0.01):
                 raise ValueError(
                     f"target={spec.target}: renders the same maps differently each time, so that no seed decides an "
                     "image; allowed is noise that it reads, as its last channel (model.noise=input)"
@@ -264,13 +304,13 @@ def check_custom(spec: GeneratorSpec, side: int) -> None:
     except ValueError:
         raise
     except (Exception, SystemExit) as error:  # whatever the user's class does
-        fail = f"two images of {side} x {side} px fail: {describe_error(error)}"
-        raise ValueError(f"target={spec.target}: {fail}") from error
-    if wrong:
-        raise ValueError(f"target={spec.target}: returns {wrong}, allowed are float32 numbers in [-1, 1]")
+        images = f"two images of {side} x {side} px"
+        raise ValueError(f"target={spec.target}: {images} fail: {describe_error(error)}") from error
+    if fault:
+        raise ValueError(f"target={spec.target}: returns {fault}, allowed are float32 numbers in [-1, 1]")
 
 
-def _wrong_with(image: Tensor) -> str:
+def _fault_of(image: Tensor) -> str:
     if image.dtype != torch.float32:
         return str(image.dtype)
     if not image.requires_grad:

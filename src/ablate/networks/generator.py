@@ -27,16 +27,25 @@ class Generator(nn.Module):
     """Renders a B-mode image from the segmentation and the other inputs of its specification.
 
     It has no parameter, and computes nothing, that its variant does not use.
+
+    Parameters
+    ----------
+    spec : GeneratorSpec
+        Its components.
+    labels : int
+        Channels of the segmentation, which follow from how the data set encodes its labels.
     """
 
-    def __init__(self, spec: GeneratorSpec) -> None:
+    def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
         self.spec = spec
+        self.labels = labels
         self.network: LocalNetwork | UNetwork | CustomNetwork
         if spec.family is Family.custom:
-            self.network = CustomNetwork(spec)
+            self.network = CustomNetwork(spec, labels)  # which keeps the weights that it gives itself
             return
-        self.network = LocalNetwork(spec) if spec.family is Family.local else UNetwork(spec)
+        network = LocalNetwork if spec.family is Family.local else UNetwork
+        self.network = network(spec, labels)
         draw_initial_weights(self)
 
     def forward(
@@ -47,14 +56,33 @@ class Generator(nn.Module):
         noise_seed: Tensor | None = None,
         **others: Tensor | None,
     ) -> Tensor:
-        """Render images, (k N, 1, H, W) in [-1, 1]; they are not masked: the caller applies the fan.
+        """Render images, which are not masked: the caller applies the fan.
 
-        `segmentation`, (N, labels, H, W), holds encoded labels in [-1, 1], -1 outside the fan. All other maps of
-        `conditions(spec)` are (N, 1, H, W): `attenuation` in [0, 1], 0 outside the fan, or `compensated` in its place;
-        the image `low`, `depth` and `lateral` in [-1, 1]; `interfaces` in [0, 1]. Those that the variant does not read
-        are ignored. `noise_seed`, (k N,) int64, has one seed for all noise of each rendering; the first N are one of
-        each sample, the next N another. None switches noise off (fields of zero); k is 1 then, and where the variant
-        draws none. Raises ValueError if a map is missing or has another shape, or the seeds are not k for each sample.
+        Maps that the variant does not read, those that are not among `conditions(spec)`, are ignored.
+
+        Parameters
+        ----------
+        segmentation : (N, labels, H, W) float
+            Encoded labels in [-1, 1], -1 outside the fan.
+        attenuation : (N, 1, H, W) float, optional
+            In [0, 1], 0 outside the fan.
+        low : (N, 1, H, W) float, optional
+            The low-quality image in [-1, 1], -1 outside the fan.
+        noise_seed : (k N,) int64, optional
+            One seed for all noise of each rendering: the first N are one of each sample, the next N another. None
+            switches noise off (fields of zero); k is 1 then, and where the variant draws none.
+        **others : (N, 1, H, W) float, optional
+            `compensated`, `illumination` and `interfaces` in [0, 1], `depth` and `lateral` in [-1, 1].
+
+        Returns
+        -------
+        (k N, 1, H, W) float
+            In [-1, 1].
+
+        Raises
+        ------
+        ValueError
+            If a map is missing or has another shape, or the seeds are not k for each sample.
         """
         given = {"segmentation": segmentation, "attenuation": attenuation, "low": low, **others}
         if noise_seed is None:
@@ -82,7 +110,9 @@ class Generator(nn.Module):
         `noise` is an input channel, `noise_<level>` is injected at 1/2^level of the resolution. Sizes are those of the
         image padded to a multiple of 2^depth. The result is empty for a variant without noise.
         """
-        height, width = height + -height % 2**self.spec.depth, width + -width % 2**self.spec.depth
+        unit = 2**self.spec.depth
+        height += -height % unit
+        width += -width % unit
         sizes = {"noise": (height, width)} if "noise" in inputs(self.spec) else {}
         if self.spec.noise is Noise.inject:
             sizes |= {f"noise_{level}": (height >> level, width >> level) for level in range(self.spec.depth)}
@@ -105,37 +135,41 @@ class Generator(nn.Module):
     def _padded(self, given: Mapping[str, Tensor | None]) -> Tensor:
         """Pad and stack the conditions, (N, conditions, H, W), in the dtype of the convolutions."""
         names = conditions(self.spec)
-        stack: list[Tensor] = []
+        maps: list[Tensor] = []
         for name in names:
-            value, channels = given.get(name), self.spec.labels if name == "segmentation" else 1
+            value = given.get(name)
             if value is None:
                 raise ValueError(f"{name}: missing, this generator reads {', '.join(names)}")
-            like = (*stack[0].shape[:1], *stack[0].shape[2:]) if stack else (*value.shape[:1], *value.shape[2:])
-            if value.ndim != 4 or value.shape[1] != channels or (*value.shape[:1], *value.shape[2:]) != like:
-                allowed = f"(N, {channels}, H, W), N, H and W alike of all maps"
-                raise ValueError(f"{name}: shape {tuple(value.shape)}, allowed is {allowed}")
+            first = maps[0] if maps else value
+            channels = self.labels if name == "segmentation" else 1
+            allowed = (*first.shape[:1], channels, *first.shape[2:])
+            if value.ndim != 4 or value.shape != allowed:
+                alike = f"(N, {channels}, H, W), N, H and W alike of all maps"
+                raise ValueError(f"{name}: shape {tuple(value.shape)}, allowed is {alike}")
             if not value.is_floating_point():
                 raise ValueError(f"{name}: {value.dtype}, allowed are floats, as `network_inputs` makes them")
-            stack.append(value)
-        height, width = stack[0].shape[-2:]
+            maps.append(value)
+        height, width = maps[0].shape[-2:]
         unit = 2**self.spec.depth
         padding = (0, -width % unit, 0, -height % unit)
         if any(padding):
-            stack = [F.pad(x, padding, value=OUTSIDE.get(name, 0.0)) for x, name in zip(stack, names, strict=True)]
-        stacked = laid_out(torch.cat(stack, dim=1))
-        kind = stacked.device.type
-        return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked
+            maps = [F.pad(x, padding, value=OUTSIDE.get(name, 0.0)) for x, name in zip(maps, names, strict=True)]
+        stacked = laid_out(torch.cat(maps, dim=1))
+        device = stacked.device.type
+        return stacked.to(torch.get_autocast_dtype(device)) if torch.is_autocast_enabled(device) else stacked
 
     def _pyramid(self, maps: Tensor) -> list[Tensor | None]:
         """Resize the maps to every level, once: means over areas, but a scalar order of labels has no mean."""
-        fed, has_order = fed_channels(self.spec), self.spec.labels == 1
+        fed = fed_channels(self.spec, self.labels)
         if not fed:
             return [None for _ in range(self.spec.depth + 1)]
+        orders = 1 if self.labels == 1 else 0
         pyramid: list[Tensor | None] = [maps[:, :fed]]
-        means = maps[:, has_order:fed]
-        for step in (2**level for level in range(1, self.spec.depth + 1)):
-            # Of the labels the pixel at each cell's corner, where a convolution of stride 2 is centred.
-            resized = [maps[:, :1, ::step, ::step]] if has_order else []
+        means = maps[:, orders:fed]
+        for level in range(1, self.spec.depth + 1):
+            step = 2**level
+            # Of an order the pixel at each cell's corner, where a convolution of stride 2 is centred.
+            resized = [maps[:, :1, ::step, ::step]] if orders else []
             if means.shape[1]:
                 means = area_means(means)
                 resized.append(means)

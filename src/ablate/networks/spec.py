@@ -120,9 +120,6 @@ class GeneratorSpec(Checked):
     extra_input: ExtraInput = setting(ExtraInput.none, "A further input channel.")
     width: float = setting(1.0, "Multiplier of every channel count; 1 is the paper's.", above=0)
     noise_start: float = setting(0.0, "Initial weight of injected noise; the paper's is zero.", least=-1000, most=1000)
-    labels: int = setting(
-        1, "Channels of the encoded segmentation, which follow from `encoding`; do not set it.", least=1, most=255
-    )
     target: str | None = setting(
         None, "With `family=custom`, the dotted path of the network's class, as `my_package.MyGenerator`."
     )
@@ -132,12 +129,7 @@ class GeneratorSpec(Checked):
         if self.family is Family.unet and self.depth < 2:
             raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
         if self.family is not Family.local:
-            family = f"with family={self.family}"
-            for name, allowed in _OF_OTHERS.items():
-                if (value := getattr(self, name)) != allowed:
-                    raise ValueError(f"{name}={value} {family}: allowed is {name}={allowed}")
-            if self.noise is Noise.inject:
-                raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input")
+            self._check_without_local_components()
         if (self.family is Family.custom) != (self.target is not None):
             allowed = "the path of a class, as my_package.MyGenerator" if self.family is Family.custom else "null"
             raise ValueError(f"target={self.target} with family={self.family}: allowed is {allowed}")
@@ -148,40 +140,55 @@ class GeneratorSpec(Checked):
                 f"noise_start={self.noise_start} with noise={self.noise}: nothing is injected, allowed is 0"
             )
 
+    def _check_without_local_components(self) -> None:
+        family = f"with family={self.family}"
+        for name, allowed in _WITHOUT_LOCAL_COMPONENTS.items():
+            value = getattr(self, name)
+            if value != allowed:
+                raise ValueError(f"{name}={value} {family}: allowed is {name}={allowed}")
+        if self.noise is Noise.inject:
+            raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input")
+
 
 # What a U-Net and a custom network have in place of the local network's components.
-_OF_OTHERS = {"concat": "input", "upsampling": "transposed", "grain": "output"}
-_OF_POSITION = {Position.none: (), Position.depth: ("depth",), Position.beam: ("depth", "lateral")}
-_OF_ATTENUATION = {
+_WITHOUT_LOCAL_COMPONENTS = {"concat": "input", "upsampling": "transposed", "grain": "output"}
+_POSITION_MAPS = {Position.none: (), Position.depth: ("depth",), Position.beam: ("depth", "lateral")}
+_ATTENUATION_MAPS = {
     Attenuation.integral: ("attenuation",),
     Attenuation.compensated: ("compensated",),
     Attenuation.illumination: ("illumination",),
+    Attenuation.none: (),
 }
 #: Maps of the surfaces on each scanline, which the simulator makes and nobody can derive from S and A.
 OF_SURFACES = frozenset({"interfaces", "illumination"})
 #: Maps of position, which follow from the probe alone and are the same in all frames.
-OF_POSITION = frozenset(_OF_POSITION[Position.beam])
+OF_POSITION = frozenset(_POSITION_MAPS[Position.beam])
 
 
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
     """Name the maps of a pair that the generator reads, in the order of its input channels.
 
     These are also what the discriminator is conditioned on, and what a dataset has to provide. Each is one channel, but
-    for `segmentation`, which has `spec.labels`.
+    for `segmentation`, which has one or more channels for its labels.
     """
-    return (
-        "segmentation",
-        *_OF_ATTENUATION.get(spec.attenuation, ()),
-        *(("interfaces",) if spec.interfaces is Interfaces.echo else ()),
-        *_OF_POSITION[spec.position],
-        *(("low",) if spec.extra_input is ExtraInput.low else ()),
-    )
+    names = ["segmentation", *_ATTENUATION_MAPS[spec.attenuation]]
+    if spec.interfaces is Interfaces.echo:
+        names.append("interfaces")
+    names += _POSITION_MAPS[spec.position]
+    if spec.extra_input is ExtraInput.low:
+        names.append("low")
+    return tuple(names)
 
 
-def fed_channels(spec: GeneratorSpec) -> int:
-    """Count the channels that every convolution reads, the first ones of all; 0 where the maps enter only once."""
-    without_low = len(conditions(spec)) - (spec.extra_input is ExtraInput.low)
-    return 0 if spec.concat is Concat.input else spec.labels + without_low - 1
+def fed_channels(spec: GeneratorSpec, labels: int = 1) -> int:
+    """Count the channels that every convolution reads, the first ones of all; 0 where the maps enter only once.
+
+    `labels` is the number of channels of the segmentation, which follows from how a data set encodes its labels.
+    """
+    if spec.concat is Concat.input:
+        return 0
+    other_maps = [name for name in conditions(spec) if name not in ("segmentation", "low")]
+    return labels + len(other_maps)
 
 
 def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
@@ -190,9 +197,9 @@ def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
     return (*conditions(spec), "noise") if has_noise else conditions(spec)
 
 
-def input_channels(spec: GeneratorSpec) -> int:
-    """Count the channels of the network's first convolution."""
-    return spec.labels + len(inputs(spec)) - 1
+def input_channels(spec: GeneratorSpec, labels: int = 1) -> int:
+    """Count the channels of the network's first convolution; `labels` of them are the segmentation."""
+    return labels + len(inputs(spec)) - 1
 
 
 def draws_noise(spec: GeneratorSpec) -> bool:

@@ -159,7 +159,7 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
 
 def _renderer_of(content: Mapping[str, Any]) -> Renderer:
     """The renderer whose file holds this."""
-    generator = Generator(GeneratorSpec(**content["spec"]))
+    generator = Generator(GeneratorSpec(**content["spec"]), content["labels"])
     generator.load_state_dict(content["weights"])
     return Renderer(
         generator=generator.eval(),
@@ -174,6 +174,7 @@ def save(renderer: Renderer, path: Path) -> None:
     """Write a trained generator to a file that `load` reads; the file holds no code."""
     content = {
         "spec": plain(renderer.generator.spec),
+        "labels": renderer.generator.labels,
         "weights": renderer.generator.state_dict(),
         "values": {name: list(values) for name, values in renderer.values.items()},
         "probe": plain(renderer.probe),

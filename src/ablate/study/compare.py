@@ -1,7 +1,7 @@
 """Compare the runs of a study: tables, figures and a report on disk."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,9 @@ class Compared:
     notes: tuple[str, ...]
 
 
-def compare_study(asked: RunList, title: str, rebuild: bool = False, time_here: bool = True) -> Compared:
+def compare_study(
+    asked: RunList, title: str, rebuild: bool = False, time_here: bool = True, named: Collection[str] = ()
+) -> Compared:
     """Compare runs of a study, on disk.
 
     Of several processes one compares and the others wait, and then keep what it made.
@@ -49,6 +51,8 @@ def compare_study(asked: RunList, title: str, rebuild: bool = False, time_here: 
         Whether a comparison of the same files is made again; otherwise it is kept.
     time_here : bool
         Whether networks that this machine has not timed are timed first.
+    named : collection of str
+        Dotted paths of the user's classes that this command names; other code that files name is not imported.
 
     Raises
     ------
@@ -60,11 +64,11 @@ def compare_study(asked: RunList, title: str, rebuild: bool = False, time_here: 
         told = [f"{asked.folder} holds no finished run to compare.", *usable.notes, *earlier_layout(asked.folder)]
         raise ConfigurationError(" ".join(told))
     with FileLock(asked.folder / ".comparison.lock"):
-        return _compare(asked, usable, title, rebuild, time_here)
+        failed = time_networks(asked.folder, usable.all, named) if time_here else ""
+        return _compare(asked, usable, title, rebuild, failed)
 
 
-def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, time_here: bool) -> Compared:
-    failed = time_networks(asked.folder, usable.all) if time_here else ""
+def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, failed: str) -> Compared:
     notes = [*usable.notes, *earlier_layout(asked.folder), *filter(None, [failed]), *untimed(usable.all)]
     study = Study(asked, replace(usable, notes=tuple(notes)))
     made_from, marker = _made_from(study), asked.folder / COMPARISON / "made_from.json"

@@ -1,18 +1,18 @@
 """How long a frame takes with each network of a study: timed in turns in one process, kept machine by machine."""
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import torch
-from tqdm import tqdm
 
 from ablate import dataset
 from ablate.dataset import Part, equally_spaced
+from ablate.evaluation import time_in_turns
 from ablate.metrics.metric import BOUNDS, FRAME_TIME
 from ablate.networks import Family, Generator, Space, conditions
 from ablate.settings.study import StudySettings
@@ -30,6 +30,7 @@ NETWORK = "network"  # the part of a frame's time that is not one of its maps
 _KEPT = {"machine": str, "network": str, "round": int, "part": str, "ms": float}
 _FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
 Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
+Rendering = Callable[[np.ndarray, int, dict[str, np.ndarray]], np.ndarray]  # of frames, draw of noise, maps
 
 
 class Read(NamedTuple):
@@ -91,23 +92,20 @@ def untimed(runs: Sequence[Run]) -> list[str]:
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
 
 
-def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
+def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] = ()) -> str:
     """Time the networks of the runs, unless this machine has timed all of them before.
 
     Times of different moments do not compare well, so where one is missing all are measured again. Without a checkpoint
-    a network is timed with the weights that it starts with, which takes as long; a custom one is not, because how long
-    it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
+    a network is timed with the weights that it starts with, which takes as long. A class of the user's is timed with
+    its weights only, because how long it takes may depend on them, and only if it is among those that this command has
+    `named`: what only a file names is not imported. Returns why nothing could be measured, a sentence, or an empty
+    string.
     """
-    to_time = {
-        network_of(run.identity): run
-        for run in reversed(runs)
-        if run.training.checkpoint.is_file() or run.identity["model"].get("family") != Family.custom.value
-    }
+    to_time = {network_of(run.identity): run for run in reversed(runs) if _can_be_timed(run, named)}
     if not to_time:
         return ""
     try:
-        settings = {network: run.training.settings for network, run in to_time.items()}
-        training = next(iter(settings.values())).training
+        training = next(iter(to_time.values())).training.settings.training
         device = chosen_device(training.device)
         with torch_threads(training.threads) as threads:
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
@@ -115,7 +113,7 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
             here = times["machine"] == machine
             if to_time.keys() <= set(times["network"][here]):
                 return ""
-            measured = _in_turns(to_time, settings, device).assign(machine=machine)
+            measured = _in_turns(to_time, device).assign(machine=machine)
     except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
     with written_whole(study_dir / TIMES) as partial:
@@ -123,7 +121,21 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     return ""
 
 
-def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device) -> pd.DataFrame:
+def _can_be_timed(run: Run, named: Collection[str]) -> bool:
+    if run.identity["model"].get("family") != Family.custom.value:
+        return True
+    return run.training.checkpoint.is_file() and run.identity["model"].get("target") in named
+
+
+@dataclass(frozen=True)
+class _Network:
+    """A network that can render frames of pairs of its kind."""
+
+    read: Read
+    render: Rendering
+
+
+def _in_turns(runs: Mapping[str, Run], device: torch.device) -> pd.DataFrame:
     """Times of each network in the columns of `read_times`, without the machine.
 
     There are `evaluation.timed_frames` rounds, or `_FEWEST_ROUNDS`, after one that does not count. A round makes the
@@ -131,47 +143,74 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     those beside it. Then it renders with each network; the next round takes them in the opposite order. The frames are
     those of the last anatomy whose pairs are here, of each kind of pairs.
     """
-    kinds = {network: digest(without_anatomy(run.identity["data"])) for network, run in runs.items()}
-    in_order = sorted(runs.items(), key=lambda named: named[1].training.data_set.exists)
-    chosen = {kinds[network]: run for network, run in in_order}  # the last counts
-    data = {kind: run.training.data_set for kind, run in chosen.items()}
-    reads, render = {}, {}  # by network
-    for network, run in runs.items():
-        kind, s = kinds[network], settings[network]
-        values = dataset.label_values(data[kind].tissues, s.encoding, s.label_seed)
-        if run.training.checkpoint.is_file():
-            generator = load_generator(run.training.checkpoint)
-        else:  # the weights that a training starts with
-            generator = Generator(replace(s.model, labels=values.shape[1])).eval()
-        precision = TrainingPrecision[run.identity["training"]["precision"]]
-        render[network] = generated_images(generator.to(device), data[kind].pairs, values, precision)
-        reads[network] = Read(kind, conditions(generator.spec), generator.spec.space)
-    make = {kind: _map_maker(chosen[kind].training.settings, of_kind) for kind, of_kind in data.items()}
-    different = list(dict.fromkeys(reads.values()))
-    rounds = max(next(iter(settings.values())).evaluation.timed_frames, _FEWEST_ROUNDS)
-    frames = {kind: equally_spaced(each.pairs.frames(Part.test), rounds) for kind, each in data.items()}
-    rows: list[tuple[str, int, str, float]] = []
-    turns = list(runs)
-    with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", leave=False, disable=None) as bar:
-        for number in range(rounds + 1):
-            shown = {kind: int(of_kind[number % len(of_kind)]) for kind, of_kind in frames.items()}
-            made = {
-                read: make[read.kind](shown[read.kind], number * len(different) + k, read.names, read.space)
-                for k, read in enumerate(different)
-            }
-            for network in turns:
-                read = reads[network]
-                maps, map_ms = made[read]
-                given = {name: maps[name][None] for name in read.names}
-                start = time.perf_counter()
-                render[network](np.array([shown[read.kind]]), number, given)  # waits for a GPU
-                parts = {name: map_ms[name] for name in given if name in map_ms}
-                parts[NETWORK] = 1e3 * (time.perf_counter() - start)
-                rows += [(network, number, name, ms) for name, ms in parts.items()]
-                bar.update()
-            turns.reverse()
-    times = pd.DataFrame(rows, columns=["network", "round", "part", "ms"])
-    return times[times["round"] > 0]
+    of_kind: dict[str, Run] = {}
+    for run in sorted(runs.values(), key=lambda run: run.training.data_set.exists):
+        of_kind[_kind_of(run)] = run  # the last counts
+    networks = {name: _prepared(run, of_kind[_kind_of(run)].training.data_set, device) for name, run in runs.items()}
+    asked = next(iter(runs.values())).training.settings.evaluation.timed_frames
+    rounds = max(asked, _FEWEST_ROUNDS)
+    maps = _MapsOfRounds(of_kind, rounds, [network.read for network in networks.values()])
+
+    def render(name: str, number: int) -> None:
+        network = networks[name]
+        frame, arrays = maps.of(network.read)
+        given = {map_name: arrays[map_name][None] for map_name in network.read.names}
+        network.render(np.array([frame]), number, given)  # waits for a GPU
+
+    calls = {name: partial(render, name) for name in networks}
+    of_networks = time_in_turns(calls, rounds, before=lambda _, number: maps.make(number), what="time")
+    rows = []
+    for name, number, ms in of_networks.itertuples(index=False):
+        of_maps = maps.ms[number, networks[name].read]
+        rows += [(name, number, part, part_ms) for part, part_ms in {**of_maps, NETWORK: ms}.items()]
+    return pd.DataFrame(rows, columns=["network", "round", "part", "ms"])
+
+
+def _kind_of(run: Run) -> str:
+    """Pairs of one kind have maps that take as long."""
+    return digest(without_anatomy(run.identity["data"]))
+
+
+def _prepared(run: Run, data: DataSet, device: torch.device) -> _Network:
+    """The network of a run, with its weights where they are there, on frames of a data set of its kind."""
+    training, settings = run.training, run.training.settings
+    values = dataset.label_values(data.tissues, settings.encoding, settings.label_seed)
+    if training.checkpoint.is_file():
+        generator = load_generator(training.checkpoint, run.identity["model"].get("target"))
+    else:  # the weights that a training starts with
+        generator = Generator(settings.model, values.shape[1]).eval()
+    precision = TrainingPrecision[run.identity["training"]["precision"]]
+    render = generated_images(generator.to(device), data.pairs, values, precision)
+    return _Network(Read(_kind_of(run), conditions(generator.spec), generator.spec.space), render)
+
+
+class _MapsOfRounds:
+    """The maps of one frame a round, for each combination of maps that a network reads."""
+
+    def __init__(self, of_kind: Mapping[str, Run], rounds: int, reads: Sequence[Read]) -> None:
+        self.ms: dict[tuple[int, Read], dict[str, float]] = {}  # by round; of the maps that took any
+        self._reads = list(dict.fromkeys(reads))
+        data = {kind: run.training.data_set for kind, run in of_kind.items()}
+        self._makers = {kind: _map_maker(run.training.settings, data[kind]) for kind, run in of_kind.items()}
+        self._frames = {kind: equally_spaced(one.pairs.frames(Part.test), rounds) for kind, one in data.items()}
+        self._arrays: dict[Read, tuple[int, dict[str, np.ndarray]]] = {}
+        self._round: int | None = None
+
+    def make(self, number: int) -> None:
+        """Make the maps of a round, unless they are made."""
+        if number == self._round:
+            return
+        self._round = number
+        for turn, read in enumerate(self._reads, start=number * len(self._reads)):
+            frames = self._frames[read.kind]
+            frame = int(frames[number % len(frames)])
+            arrays, ms = self._makers[read.kind](frame, turn, read.names, read.space)
+            self._arrays[read] = frame, arrays
+            self.ms[number, read] = {name: ms[name] for name in read.names if name in ms}
+
+    def of(self, read: Read) -> tuple[int, dict[str, np.ndarray]]:
+        """The number of the round's frame, and its maps."""
+        return self._arrays[read]
 
 
 def _map_maker(settings: StudySettings, data: DataSet) -> Callable[[int, int, Sequence[str], Space], Maps]:

@@ -145,12 +145,15 @@ def identity_key(key: str) -> str:
     return f"data.{key}" if key.partition(".")[0] in _OF_THE_DATA else key
 
 
-def parameters(settings: StudySettings, spec: GeneratorSpec) -> dict[str, float]:
-    """Count the parameters of the generator and of the discriminator, which is 0 for a job that trains without one."""
+def parameters(settings: StudySettings, spec: GeneratorSpec, labels: int) -> dict[str, float]:
+    """Count the parameters of the generator and of the discriminator, which is 0 for a job that trains without one.
+
+    Networks read `labels` numbers for a tissue.
+    """
     from ablate import networks
 
-    discriminator = networks.count_discriminator(spec, settings.training.discriminator_width)
+    discriminator = networks.count_discriminator(spec, settings.training.discriminator_width, labels)
     return {
-        "parameters_generator": float(networks.count_generator(spec)),
+        "parameters_generator": float(networks.count_generator(spec, labels)),
         "parameters_discriminator": float(discriminator if settings.training.has_discriminator else 0),
     }

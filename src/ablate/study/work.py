@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -76,7 +75,10 @@ def _train_and_score(job: Job, training: Training) -> None:
         render = generated_images(trained.generator, data.pairs, values, settings.training.precision)
         if not training.is_trained:
             _write_pictures(training, data, render, settings.evaluation.pictures)
-            scalars = {"train/resumed_at": float(trained.resumed_at), **parameters(settings, _spec(settings, values))}
+            scalars = {
+                "train/resumed_at": float(trained.resumed_at),
+                **parameters(settings, settings.model, values.shape[1]),
+            }
             if trained.resumed_at == 0:
                 scalars["train/seconds"] = time.perf_counter() - clock  # task=plan estimates other jobs from it
             training.write_result(
@@ -141,15 +143,11 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _spec(settings: StudySettings, values: np.ndarray) -> Any:
-    return replace(settings.model, labels=values.shape[1])
-
-
 def _train(
     settings: StudySettings, training: Training, data: DataSet, values: np.ndarray, log: LocalLog
 ) -> TrainedGenerator:
     """Train, or read what is trained; `values` is what networks read for each label."""
-    pairs, spec = data.pairs, _spec(settings, values)
+    pairs, spec = data.pairs, settings.model
     cut = CropSettings(
         settings.training.crop,
         settings.training.batch_size,
@@ -166,6 +164,7 @@ def _train(
         training.folder,
         sink=log.metrics,
         validation=_validation(settings, data, values, log),
+        labels=values.shape[1],
     )
 
 

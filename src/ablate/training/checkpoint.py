@@ -7,7 +7,7 @@ import torch
 
 from ablate.networks import Generator, GeneratorSpec
 from ablate.training.settings import TrainingSettings
-from ablate.user_code import code_digest
+from ablate.user_code import check_named, code_digest
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -23,22 +23,25 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return checkpoint
 
 
-def load_generator(path: Path) -> Generator:
+def load_generator(path: Path, custom: str | None = None) -> Generator:
     """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
 
-    A file without a checkpoint of this project, with weights of another network than it names, or of a user's network
-    whose code has changed since, is a ValueError.
+    Nothing is imported that only the file names: `custom` is the dotted path of the user's class that may be, the
+    `model.target` of the training. A checkpoint of another class is a ValueError, as are a file without a checkpoint of
+    this project, one with weights of another network than it names, and one of a class whose code has changed since.
     """
     checkpoint = read_checkpoint(path)
-    target = checkpoint.get("hyper_parameters", {}).get("spec", {}).get("target")
+    stored = checkpoint.get("hyper_parameters", {})
+    target = stored.get("spec", {}).get("target")
+    check_named(path, target, custom, "custom")
     if target is not None and code_digest(target) != checkpoint.get("target_source"):
         raise ValueError(f"{path}: the code of {target} is not that of the training: restore it, or train again")
     try:
-        made, weights = checkpoint["hyper_parameters"], checkpoint["state_dict"].items()
-        kept = "average." if TrainingSettings(**made["settings"]).ema_decay > 0 else "generator."
+        prefix = "average." if TrainingSettings(**stored["settings"]).ema_decay > 0 else "generator."
+        weights = checkpoint["state_dict"].items()
         with torch.random.fork_rng():
-            generator = Generator(GeneratorSpec(**made["spec"]))
-        generator.load_state_dict({key.removeprefix(kept): w for key, w in weights if key.startswith(kept)})
+            generator = Generator(GeneratorSpec(**stored["spec"]), stored["labels"])
+        generator.load_state_dict({key.removeprefix(prefix): value for key, value in weights if key.startswith(prefix)})
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error

@@ -18,20 +18,17 @@ from torch import Tensor
 
 from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec
-from ablate.setting import plain
+from ablate.setting import identity
 from ablate.storage import remove_partial, written_whole
 from ablate.threads import torch_threads
 from ablate.training.checkpoint import read_checkpoint
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
-from ablate.training.settings import LAST, TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
+from ablate.training.settings import LAST, TRAINING_VERSION, TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
 Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]
-# Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
-# or number of threads adds numbers in another order, so weights differ by rounding.
-_FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
 _TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16: "bf16-mixed"}
 
 
@@ -51,16 +48,22 @@ def train(
     run_dir: Path,
     sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
+    labels: int = 1,
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
     A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
     that was not stopped: to the bit on the same CPU with the same number of threads, and as far as the convolutions of
-    cuDNN repeat themselves on a GPU. A run keeps the precision that `auto` stood for when it began. After SIGTERM,
-    SIGHUP, SIGUSR2 or Ctrl-C the current step is finished, a checkpoint is written, and the signal is raised again.
+    cuDNN repeat themselves on a GPU. Only incidental settings, such as the device, may differ. A run keeps the
+    precision that `auto` stood for when it began. After SIGTERM, SIGHUP, SIGUSR2 or Ctrl-C the current step is
+    finished, a checkpoint is written, and the signal is raised again.
 
     Parameters
     ----------
+    spec : GeneratorSpec
+        Components of the generator.
+    settings : TrainingSettings
+        How it is trained.
     loader : callable
         `loader(start, stop)` iterates over the batches of these steps; see `PairGAN.training_step` for a batch.
     run_dir : Path
@@ -70,6 +73,13 @@ def train(
     validation : callable, optional
         Called with the generator to evaluate and the number of images it has seen, before the first step and every
         `settings.validate_every` steps; returns metrics.
+    labels : int
+        Channels of the segmentation in a batch.
+
+    Returns
+    -------
+    TrainedGenerator
+        In evaluation mode, on the device it was trained on.
 
     Raises
     ------
@@ -86,38 +96,48 @@ def train(
         raise ValueError(f"crop={settings.crop}: allowed are 2^depth = {2**spec.depth} and more")
     device = chosen_device(settings.device)
     settings = replace(settings, precision=chosen_precision(settings.precision, device))
-    module = PairGAN(spec, settings)
+    module = PairGAN(spec, settings, labels)
     run_dir.mkdir(parents=True, exist_ok=True)
-    if (checkpoint := run_dir / LAST).exists():
+    checkpoint = run_dir / LAST
+    if checkpoint.exists():
         resume(module, checkpoint)
     start = module.steps_done
     if start < settings.steps:
-        interruption = Interruption()
-        # In this order signals are taken over before the first validation, and losses are checked before a checkpoint.
-        callbacks = [
-            LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
-            Report(sink, validation),
-            LastCheckpoint(run_dir, settings.checkpoint_every, interruption),
-        ]
-        try:
-            with torch_threads(settings.threads):
-                batches = islice(loader(start, settings.steps), settings.steps - start)  # a loader may go on
-                _fit(module, batches, callbacks, device, run_dir)
-        finally:
-            interruption.restore()
-        if interruption.signal is not None:
-            signal.raise_signal(interruption.signal)
-        if module.steps_done < settings.steps:
-            if interruption.signal is not None:  # the handler found before returned, as submitit's does for SIGTERM
-                name = signal.Signals(interruption.signal).name
-                raise InterruptedError(f"stopped by {name} after step {module.steps_done} of {settings.steps}")
-            raise RuntimeError(f"loader: ended after step {module.steps_done}, needed are {settings.steps}")
+        _finish(module, loader, Report(sink, validation), device, run_dir)
     return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
+
+
+def _finish(module: PairGAN, loader: Loader, report: Report, device: torch.device, run_dir: Path) -> None:
+    """Take the steps that are left."""
+    settings = module.settings
+    start = module.steps_done
+    interruption = Interruption()
+    # In this order signals are taken over before the first validation, and losses are checked before a checkpoint.
+    callbacks = [
+        LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
+        report,
+        LastCheckpoint(run_dir, settings.checkpoint_every, interruption),
+    ]
+    try:
+        with torch_threads(settings.threads):
+            batches = islice(loader(start, settings.steps), settings.steps - start)  # a loader may go on
+            _fit(module, batches, callbacks, device, run_dir)
+    finally:
+        interruption.restore()
+    if interruption.signal is not None:
+        signal.raise_signal(interruption.signal)
+    if module.steps_done == settings.steps:
+        return
+    if interruption.signal is not None:  # the handler found before returned, as submitit's does for SIGTERM
+        name = signal.Signals(interruption.signal).name
+        raise InterruptedError(f"stopped by {name} after step {module.steps_done} of {settings.steps}")
+    raise RuntimeError(f"loader: ended after step {module.steps_done}, needed are {settings.steps}")
 
 
 def _fit(
     module: PairGAN, batches: Iterable[Any], callbacks: list[Callback], device: torch.device, folder: Path
 ) -> None:
+    """Run Lightning's trainer over the batches, in silence."""
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # it tells of hardware, and of itself
     with warnings.catch_warnings():
         # SLURM matters to the caller; LeafSpec is a name that torch has deprecated and Lightning itself calls.
@@ -148,37 +168,45 @@ class LastCheckpoint(Callback):
     """
 
     def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
-        self.path, self.every, self.interruption = folder / LAST, every, interruption
+        self.path = folder / LAST
+        self.every = every
+        self.interruption = interruption
 
     def on_train_batch_end(self, trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Write if it is time."""
         step = module.steps_done
         trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
-        if trainer.should_stop or step == module.settings.steps or (self.every > 0 and step % self.every == 0):
-            norms = torch._foreach_norm([parameter.detach() for parameter in module.parameters()])
-            if not torch.stack([norm.float() for norm in norms]).isfinite().all():
-                kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
-                raise DivergenceError(f"step {step}: weights are not finite{kept}")
-            remove_partial(self.path)  # one process trains a run
-            torch.save(module.checkpoint(), content := BytesIO())  # to a path, a full disk is a RuntimeError
-            with written_whole(self.path) as partial:
-                partial.write_bytes(content.getbuffer())
+        is_due = self.every > 0 and step % self.every == 0
+        if trainer.should_stop or is_due or step == module.settings.steps:
+            self._write(module)
+
+    def _write(self, module: PairGAN) -> None:
+        norms = torch._foreach_norm([parameter.detach() for parameter in module.parameters()])
+        if not torch.stack([norm.float() for norm in norms]).isfinite().all():
+            kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
+            raise DivergenceError(f"step {module.steps_done}: weights are not finite{kept}")
+        remove_partial(self.path)  # one process trains a run
+        content = BytesIO()
+        torch.save(module.checkpoint(), content)  # to a path, a full disk is a RuntimeError
+        with written_whole(self.path) as partial:
+            partial.write_bytes(content.getbuffer())
 
 
 def resume(module: PairGAN, path: Path) -> None:
     """Continue from `path`; ValueError, which names what differs, if it holds another network or another training."""
     checkpoint = read_checkpoint(path)
-    if (version := checkpoint.get("training_version")) != TRAINING_VERSION:
+    version = checkpoint.get("training_version")
+    if version != TRAINING_VERSION:
         trained = f"trained by version {version} of the training, this program has version {TRAINING_VERSION}"
         raise ValueError(f"{path}: {trained}; remove it to start again")
-    # A falling learning rate depends on the number of steps.
-    free = _FREE if module.settings.schedule is Schedule.constant else _FREE - {"steps"}
-    for part, wanted in (("spec", plain(module.spec)), ("settings", plain(module.settings))):
-        known = checkpoint["hyper_parameters"][part]
-        differing = [key for key in wanted if key not in free and known.get(key) != wanted[key]]
-        if differing:
-            changes = ", ".join(f"{key}={known.get(key)} there, {wanted[key]} asked for" for key in differing)
-            raise ValueError(f"{path}: of another run ({changes})")
-    if (done := checkpoint["steps_done"]) > module.settings.steps:
-        raise ValueError(f"{path}: has {done} steps, {module.settings.steps} are asked for")
+    stored = checkpoint["hyper_parameters"]
+    began_with = stored["spec"] | stored["settings"] | {"labels": stored.get("labels")}
+    asked_for = identity(module.spec) | identity(module.settings) | {"labels": module.labels}
+    changes = [
+        f"{key}={began_with.get(key)} there, {value} asked for"
+        for key, value in asked_for.items()
+        if began_with.get(key) != value
+    ]
+    if changes:
+        raise ValueError(f"{path}: of another run ({', '.join(changes)})")
     module.restore(checkpoint)

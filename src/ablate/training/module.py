@@ -34,6 +34,15 @@ _EMA_LAG = 10
 class PairGAN(LightningModule):
     """Generator, discriminator, their losses and optimisers.
 
+    Parameters
+    ----------
+    spec : GeneratorSpec
+        Components of the generator; the discriminator is conditioned on the same maps.
+    settings : TrainingSettings
+        Losses, learning rates, and the seed of the initial weights.
+    labels : int
+        Channels of the segmentation.
+
     Attributes
     ----------
     discriminator : PatchDiscriminator or None
@@ -44,17 +53,22 @@ class PairGAN(LightningModule):
         Batches seen. Lightning's `global_step` counts the steps of both optimisers, so it is not used.
     """
 
-    def __init__(self, spec: GeneratorSpec, settings: TrainingSettings) -> None:
+    def __init__(self, spec: GeneratorSpec, settings: TrainingSettings, labels: int = 1) -> None:
         super().__init__()
-        self.spec, self.settings = spec, settings
+        self.spec = spec
+        self.settings = settings
+        self.labels = labels
         self.automatic_optimization = False
+        self.discriminator: PatchDiscriminator | None = None
+        self.average: Generator | None = None
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
-            self.generator = Generator(spec)
-            channels, width = discriminator_channels(spec), settings.discriminator_width or spec.width
-            self.discriminator = PatchDiscriminator(channels, width) if settings.has_discriminator else None
-        has_average = settings.ema_decay > 0
-        self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
+            self.generator = Generator(spec, labels)
+            if settings.has_discriminator:
+                width = settings.discriminator_width or spec.width
+                self.discriminator = PatchDiscriminator(discriminator_channels(spec, labels), width)
+        if settings.ema_decay > 0:
+            self.average = deepcopy(self.generator).requires_grad_(False)
         self.steps_done = 0
         self._sums: dict[str, Tensor | float] = {}
         self._steps_summed = 0
@@ -67,9 +81,9 @@ class PairGAN(LightningModule):
 
     def configure_optimizers(self) -> tuple[Adam, ...]:
         """Make one Adam a network, generator's first, with the states of a restored checkpoint."""
-        chosen = self.settings
+        betas = (self.settings.beta1, self.settings.beta2)
         optimizers = tuple(
-            Adam(network.parameters(), chosen.learning_rate, (chosen.beta1, chosen.beta2), fused=True)
+            Adam(network.parameters(), self.settings.learning_rate, betas, fused=True)
             for network in (self.generator, self.discriminator)
             if network is not None
         )
@@ -84,60 +98,89 @@ class PairGAN(LightningModule):
         return optimizers
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> None:
-        """Train both networks on one batch, whose maps are (N, 1, h, w).
+        """Train both networks on one batch, whose maps are (N, 1, h, w), but for the channels of the segmentation.
 
         They are those of `conditions(spec)`, `target` in [-1, 1] and `mask`; and there is `noise_seed`, (N,) int64.
         """
-        optimizer_g, *others = optimizers = self._listed_optimizers()
-        for group in (group for optimizer in optimizers for group in optimizer.param_groups):
-            group["lr"] = self.settings.learning_rate_at(self.steps_done)
+        optimizer_g, *optimizers_d = self._listed_optimizers()
+        for optimizer in (optimizer_g, *optimizers_d):
+            for group in optimizer.param_groups:
+                group["lr"] = self.settings.learning_rate_at(self.steps_done)
         maps = {name: batch[name] for name in conditions(self.spec)}
-        mask, image = batch["mask"].float(), batch["target"]
-        seeds = batch["noise_seed"]
-        if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
-            seeds = torch.cat((seeds, seeds ^ SECOND_DRAW))
-        rendered = self._rendered(maps, seeds)
-        fake, *second = (mask * (draw.float() + 1) - 1 for draw in rendered.split(len(image)))  # black outside the fan
+        mask = batch["mask"].float()
+        image = batch["target"]
+        rendered = self._render(maps, batch["noise_seed"])
+        draws = rendered.split(len(image))
+        fake, *second = [mask * (draw.float() + 1) - 1 for draw in draws]  # black outside the fan
         losses: dict[str, Tensor] = {}
-        if (judge := self.discriminator) is not None:
+        if self.discriminator is not None:
             stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
-            real, forged = judge(stacked, image).float(), judge(stacked, fake.detach()).float()
-            losses["train/loss_d"] = F.softplus(-real).mean() + F.softplus(forged).mean()
-            losses |= {"train/logit_real": real.mean(), "train/logit_fake": forged.mean()}
-            others[0].zero_grad()
-            self.manual_backward(losses["train/loss_d"])
-            others[0].step()
-            judge.requires_grad_(False)
-            logits = judge(stacked, fake).float()  # minimised is -log D, or log(1 - D), with D = sigmoid(logits)
-            is_minimax = self.settings.loss is AdversarialLoss.minimax
-            losses["train/loss_g"] = -F.softplus(logits).mean() if is_minimax else F.softplus(-logits).mean()
-
+            losses |= self._train_discriminator(self.discriminator, optimizers_d[0], stacked, image, fake.detach())
+            self.discriminator.requires_grad_(False)
+            losses["train/loss_g"] = self._adversarial_loss(self.discriminator(stacked, fake).float())
         losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
         if second:
             losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, second[0], image), mask)
         optimizer_g.zero_grad()
         self.manual_backward(losses.get("train/loss_g", 0) + self.settings.l1_weight * error)
         optimizer_g.step()
-        if judge is not None:
-            judge.requires_grad_(True)
-
+        if self.discriminator is not None:
+            self.discriminator.requires_grad_(True)
         if self.average is not None:
-            decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
-            with torch.no_grad():
-                torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
-                for own, newest in zip(self.average.buffers(), self.generator.buffers(), strict=True):
-                    own.copy_(newest)  # as `AveragedModel` of torch does: statistics of batch norm
+            self._follow(self.average)
         self.steps_done += 1
         self._sums = {name: self._sums.get(name, 0) + value.detach() for name, value in losses.items()}
         self._steps_summed += 1
 
-    def _rendered(self, maps: Mapping[str, Tensor], seeds: Tensor) -> Tensor:
-        """What the generator makes of a batch; what a network of the user's own draws follows the seed and the step."""
-        with torch.random.fork_rng(enabled=(custom := self.spec.family is Family.custom)):
-            if custom:
-                torch.manual_seed(int(np.random.default_rng([self.settings.seed, self.steps_done]).integers(2**62)))
+    def _render(self, maps: Mapping[str, Tensor], seeds: Tensor) -> Tensor:
+        """Render a batch, of which CRPS takes a second draw; returns (N, 1, h, w), or both draws, one after the other.
+
+        What a network of the user's draws by itself follows the seed of the training and the step.
+        """
+        if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
+            seeds = torch.cat((seeds, seeds ^ SECOND_DRAW))
+        is_custom = self.spec.family is Family.custom
+        with torch.random.fork_rng(enabled=is_custom):
+            if is_custom:
+                random = np.random.default_rng([self.settings.seed, self.steps_done])
+                torch.manual_seed(int(random.integers(2**62)))
             image: Tensor = self.generator(**maps, noise_seed=seeds)
             return image
+
+    def _train_discriminator(
+        self,
+        discriminator: PatchDiscriminator,
+        optimizer: Optimizer | LightningOptimizer,
+        maps: Tensor,
+        image: Tensor,
+        fake: Tensor,
+    ) -> dict[str, Tensor]:
+        """Take a step of the discriminator; returns its loss and the mean logits."""
+        real_logits = discriminator(maps, image).float()
+        fake_logits = discriminator(maps, fake).float()
+        loss = F.softplus(-real_logits).mean() + F.softplus(fake_logits).mean()
+        optimizer.zero_grad()
+        self.manual_backward(loss)
+        optimizer.step()
+        return {
+            "train/loss_d": loss,
+            "train/logit_real": real_logits.mean(),
+            "train/logit_fake": fake_logits.mean(),
+        }
+
+    def _adversarial_loss(self, logits: Tensor) -> Tensor:
+        """What the generator minimises: -log D, or log(1 - D), with D = sigmoid(logits)."""
+        if self.settings.loss is AdversarialLoss.minimax:
+            return -F.softplus(logits).mean()
+        return F.softplus(-logits).mean()
+
+    def _follow(self, average: Generator) -> None:
+        """Move the running average towards the generator."""
+        decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
+        with torch.no_grad():
+            torch._foreach_lerp_(list(average.parameters()), list(self.generator.parameters()), 1 - decay)
+            for averaged, newest in zip(average.buffers(), self.generator.buffers(), strict=True):
+                averaged.copy_(newest)  # as `AveragedModel` of torch does: statistics of batch norm
 
     def drain(self) -> dict[str, float]:
         """Return the mean of every loss since the last call, by name; this waits for the device.
@@ -146,7 +189,8 @@ class PairGAN(LightningModule):
         `train/logit_real` and `train/logit_fake`.
         """
         means = {name: float(total / self._steps_summed) for name, total in self._sums.items()}
-        self._sums, self._steps_summed = {}, 0
+        self._sums = {}
+        self._steps_summed = 0
         return means
 
     def checkpoint(self) -> dict[str, Any]:
@@ -156,7 +200,11 @@ class PairGAN(LightningModule):
             "optimizer_states": [optimizer.state_dict() for optimizer in self._listed_optimizers()],
             "steps_done": self.steps_done,
             "summed": ({name: float(total) for name, total in self._sums.items()}, self._steps_summed),
-            "hyper_parameters": {"spec": plain(self.spec), "settings": plain(self.settings)},
+            "hyper_parameters": {
+                "spec": plain(self.spec),
+                "labels": self.labels,
+                "settings": plain(self.settings),
+            },
             "target_source": None if self.spec.target is None else code_digest(self.spec.target),
             "training_version": TRAINING_VERSION,
         }

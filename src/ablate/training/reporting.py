@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from ablate.networks import Generator
 from ablate.training.module import PairGAN
+from ablate.training.settings import TrainingSettings
 
 # Takes metrics and the number of images seen; a Lightning logger's `log_metrics` is one.
 MetricSink = Callable[[dict[str, float], int], None]
@@ -19,10 +20,9 @@ MetricSink = Callable[[dict[str, float], int], None]
 Validation = Callable[[Generator, int], Mapping[str, float]]
 
 _LOG = logging.getLogger(__name__)
-tqdm.monitor_interval = 0  # it would start a thread, which without memory may never return (CPython 140746)
-_LINES = 10
+_LINES = 10  # about so many lines of the log in a training
 # What a line shows of the metrics that there are.
-_SHOWN = {
+_FORMATS = {
     "train/images_per_second": "{:.1f} images/s",
     "train/l1": "L1 {:.3f}",
     "train/crps": "CRPS {:.3f}",
@@ -46,15 +46,16 @@ class Report(Callback):
     """
 
     def __init__(self, sink: MetricSink, validation: Validation | None = None) -> None:
-        self.sink, self.validation = sink, validation
+        self.sink = sink
+        self.validation = validation
 
     def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock, and validate the untrained network, where curves begin."""
-        steps, done = module.settings.steps, module.steps_done
         # With `disable=None` it is shown on a terminal alone.
-        self._bar: tqdm[Any] = tqdm(total=steps, initial=done, unit="step", disable=None)
-        self._since, self._steps_timed = time.perf_counter(), 0
-        if done == 0:
+        self._bar: tqdm[Any] = tqdm(total=module.settings.steps, initial=module.steps_done, unit="step", disable=None)
+        self._since = time.perf_counter()
+        self._steps_timed = 0
+        if module.steps_done == 0:
             self._validate(module)
 
     def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
@@ -70,37 +71,55 @@ class Report(Callback):
         self._bar.close()
 
     def _report(self, module: PairGAN) -> None:
-        step, settings, metrics = module.steps_done, module.settings, module.drain()
+        step = module.steps_done
+        settings = module.settings
+        metrics = module.drain()
         for name, value in metrics.items():
             if not math.isfinite(value):
                 advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
                 raise DivergenceError(f"training has failed at step {step}: {name} is {value}; {advice}")
         now = time.perf_counter()
         metrics["train/images_per_second"] = self._steps_timed * settings.batch_size / (now - self._since)
-        self._since, self._steps_timed = now, 0
-        if (magnitude := module.generator.noise_magnitude()) is not None:
-            metrics["train/noise_weight"] = weight = float(magnitude)
-            could_have_grown = step * settings.learning_rate >= DYING_NOISE  # Adam's steps are no longer than its rate
-            if step == settings.steps and could_have_grown and weight < DYING_NOISE:
-                _LOG.warning(
-                    "the mean weight of injected noise is %.3f after %d steps, under %s: the network hardly uses it; "
-                    "model.noise_start sets where it begins",
-                    *(weight, step, DYING_NOISE),
-                )
+        self._since = now
+        self._steps_timed = 0
+        magnitude = module.generator.noise_magnitude()
+        if magnitude is not None:
+            metrics["train/noise_weight"] = float(magnitude)
+            if step == settings.steps:
+                _warn_of_dying_noise(float(magnitude), settings)
         self.sink(metrics, step * settings.batch_size)
-        text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
+        text = ", ".join(form.format(metrics[name]) for name, form in _FORMATS.items() if name in metrics)
         self._bar.set_postfix_str(text)
-        is_tenth = step * _LINES // settings.steps > (step - settings.log_every) * _LINES // settings.steps
-        if is_tenth or step == settings.steps:
+        lines = step * _LINES // settings.steps
+        lines_before = (step - settings.log_every) * _LINES // settings.steps
+        if lines > lines_before or step == settings.steps:
             _LOG.info("step %d of %d: %s", step, settings.steps, text, extra={"in_bar": not self._bar.disable})
 
     def _validate(self, module: PairGAN) -> None:
-        if self.validation and (every := module.settings.validate_every) and module.steps_done % every == 0:
-            images_seen, began = module.steps_done * module.settings.batch_size, time.perf_counter()
-            trains = {part: part.training for part in module.evaluated.modules()}  # some may not, as they were made
-            with torch.no_grad():
-                metrics = dict(self.validation(module.evaluated.eval(), images_seen))
-            for part, mode in trains.items():
-                part.training = mode
-            self.sink(metrics, images_seen)
-            self._since += time.perf_counter() - began  # `train/images_per_second` is of training alone
+        every = module.settings.validate_every
+        if self.validation is None or every == 0 or module.steps_done % every:
+            return
+        images_seen = module.steps_done * module.settings.batch_size
+        began = time.perf_counter()
+        modes = {part: part.training for part in module.evaluated.modules()}  # some may not train, as they were made
+        with torch.no_grad():
+            metrics = dict(self.validation(module.evaluated.eval(), images_seen))
+        for part, mode in modes.items():
+            part.training = mode
+        self.sink(metrics, images_seen)
+        self._since += time.perf_counter() - began  # `train/images_per_second` is of training alone
+
+
+def _warn_of_dying_noise(weight: float, settings: TrainingSettings) -> None:
+    """Warn at the end of a training that has taken the noise away, if it was long enough to bring it back."""
+    could_have_grown = (
+        settings.steps * settings.learning_rate >= DYING_NOISE
+    )  # Adam's steps are no longer than its rate
+    if could_have_grown and weight < DYING_NOISE:
+        _LOG.warning(
+            "the mean weight of injected noise is %.3f after %d steps, under %s: the network hardly uses it; "
+            "model.noise_start sets where it begins",
+            weight,
+            settings.steps,
+            DYING_NOISE,
+        )

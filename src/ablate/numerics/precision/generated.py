@@ -137,7 +137,7 @@ def measure_generators(
     for run, execution in shown_progress(planned, "trained runs"):
         setting = _setting(run, execution, settings.study)
         try:
-            generator = load_generator(run.checkpoint).to(device)
+            generator = load_generator(run.checkpoint, settings.model.target).to(device)
             maps, inputs_ms = inputs_of(conditions(generator.spec), generator.spec.space)
             rendered, network_ms = _render(run, generator, maps, bench, execution)
         except Exception as failure:
