@@ -13,17 +13,18 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-VARIANTS = ("sa2h", "sa2h-att")
+import pandas as pd
+
 STUDY = "tiny-fetal"
 SWEEP = [
     "-m",
-    f"variant={','.join(VARIANTS)}",
+    "variant=sa2h,sa2h-att",
     "preset=tiny",
     "simulator.image_shape=[96,134]",
     "dataset.frames=10",
@@ -141,8 +142,8 @@ def differences(runs: Path, unbroken: Path) -> list[str]:
     found_runs, found_points = _tracked(runs / "mlflow.db")
     if found_runs != expected_runs:
         wrong.append(f"MLflow: the runs are {found_runs}, not {expected_runs}")
-    if len(found_points) != len(set(found_points)):
-        wrong.append(f"MLflow: {len(found_points) - len(set(found_points))} values are there twice")
+    if twice := len(found_points) - len(set(found_points)):
+        wrong.append(f"MLflow: {twice} values are there twice")
     if odd := set(found_points) ^ set(expected_points):
         wrong.append(f"MLflow: {len(odd)} values are missing or others, as {min(odd)}")
     return wrong
@@ -150,29 +151,27 @@ def differences(runs: Path, unbroken: Path) -> list[str]:
 
 def _scores(runs: Path) -> dict[str, Any]:
     """What the files of a study say, by their names; None where one cannot be read."""
-    readers: dict[str, Callable[[Path], Any]] = {"result.json": _scalars, "*.parquet": _columns}
-    readers["paired.csv"] = Path.read_bytes
-    found = {}
-    for pattern, read in readers.items():
+    readers = (("*.json", _scalars), ("*.parquet", _table), ("paired.csv", Path.read_bytes))
+    found: dict[str, Any] = {}
+    for pattern, read in readers:
         for path in (runs / STUDY).rglob(pattern):
+            name = str(path.relative_to(runs))
             try:
-                found[str(path.relative_to(runs))] = read(path)
+                found[name] = read(path)
             except (OSError, ValueError):  # pyarrow's ArrowInvalid is a ValueError
-                found[str(path.relative_to(runs))] = None
+                found[name] = None
     return found
 
 
 def _scalars(file: Path) -> dict[str, Any]:
-    scalars = json.loads(file.read_text("utf-8"))["scalars"]
+    """The scores in a JSON file; most files have none."""
+    content = json.loads(file.read_text("utf-8"))
+    scalars = content.get("scalars", {}) if isinstance(content, dict) else {}
     return {key: value for key, value in scalars.items() if key not in OF_THE_CLOCK}
 
 
-def _columns(file: Path) -> dict[str, Any]:
-    from pyarrow.parquet import ParquetFile
-
-    with ParquetFile(file) as opened:
-        columns: dict[str, Any] = opened.read(use_threads=False).to_pydict()
-        return columns
+def _table(file: Path) -> str:
+    return pd.read_parquet(file).to_csv()  # as many digits as tell any two numbers apart
 
 
 def _tracked(database: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str, int, float]]]:
@@ -206,7 +205,8 @@ def disk_full(bench: Bench, rng: random.Random, _: int) -> list[str]:
     with small_disk(disk) as pid:
         seen = Path(f"/proc/{pid}/root{disk}")  # the disk, from outside
         shutil.copytree(bench.unbroken / "data", seen / "runs" / "data")
-        finished = Path(STUDY) / VARIANTS[0]
+        trained = [folder for folder in (bench.unbroken / STUDY).iterdir() if folder.name != "comparison"]
+        finished = min(trained).relative_to(bench.unbroken)
         shutil.copytree(bench.unbroken / finished, seen / "runs" / finished)
         before = _contents(seen / "runs" / finished)
         (seen / "ballast").write_bytes(bytes(max(0, shutil.disk_usage(seen).free - free)))

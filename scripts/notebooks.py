@@ -2,6 +2,7 @@
 
 make notebooks
 python scripts/notebooks.py verdicts          # only this one
+python scripts/notebooks.py --sources         # take over changes that change no output, such as the name of a module
 
 The sources are notebooks/NAME.py. They read the studies that `make sweep` and `make answer` left in `runs/`. Each kept
 notebook names, in its metadata, the study that it was run on and the versions that this study was made with.
@@ -37,6 +38,16 @@ def execute(notebook: NotebookNode) -> None:
     notebook["metadata"]["ablate"] = json.loads(printed)
 
 
+def take_over(notebook: NotebookNode, file: Path) -> NotebookNode:
+    """The kept notebook with the sources of this one, cell by cell; other cells than before are a ValueError."""
+    kept = nbformat.read(file, as_version=4)
+    for old, new in zip(kept.cells, notebook.cells, strict=True):
+        if old.cell_type != new.cell_type:
+            raise ValueError(f"{file.name} has other cells than its source: run it")
+        old["source"] = new.source
+    return kept
+
+
 def keep(notebook: NotebookNode, file: Path) -> None:
     """Write a notebook without what differs between two runs: ids, times, and warnings with folders of this machine."""
     for number, cell in enumerate(notebook.cells):
@@ -53,14 +64,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = sorted(path.stem for path in FOLDER.glob("*.py"))
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(names)}; all where none is given")
+    parser.add_argument("--sources", action="store_true", help="run nothing, and keep the outputs that there are")
     arguments = parser.parse_args()
     if unknown := set(arguments.names) - set(names):
         parser.error(f"{', '.join(sorted(unknown))}: no such notebook, allowed are {', '.join(names)}")
     for name in tqdm(arguments.names or names, unit="notebook"):
         source = FOLDER / f"{name}.py"
+        kept = source.with_suffix(".ipynb")
         notebook = jupytext.read(source)
-        execute(notebook)
-        keep(notebook, source.with_suffix(".ipynb"))
+        if arguments.sources:
+            notebook = take_over(notebook, kept)
+        else:
+            execute(notebook)
+        keep(notebook, kept)
 
 
 if __name__ == "__main__":
