@@ -11,7 +11,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep quick test-random answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
+.PHONY: help sweep quick test-random answer docs notebooks test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -77,9 +77,6 @@ view: $(STAMP) ## the probe in your hand, on http://127.0.0.1:8090; ARGS="scene=
 bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans; AGAINST=checkout
 	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE)) $(if $(AGAINST),--against $(AGAINST))
 
-bench-bands: $(STAMP) ## frames with bright bands in fluid; ARGS="--frames 24 --against path/to/another/checkout"
-	$(BIN)/python benchmarks/bands.py $(ARGS)
-
 bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
 	$(BIN)/python benchmarks/dataset.py
 
@@ -104,5 +101,5 @@ bench-start: $(STAMP) ## seconds until a mistyped key is answered, against the i
 bench-viewer: $(STAMP) ## the viewer's frames a second, motion to picture and memory; ARGS="--frames 10000 preset=tiny"
 	PYTHONPATH=tests $(BIN)/python benchmarks/viewer.py $(ARGS)
 
-chaos: $(STAMP) ## small studies under faults, for docs/reliability.md; ARGS="--minutes 60 --keep", or --only kill,disk
+chaos: $(STAMP) ## small studies under faults, for docs/reliability.md; ARGS="--minutes 60", or --only kill,disk
 	$(BIN)/python benchmarks/chaos.py $(ARGS)

@@ -1,6 +1,6 @@
 """Memory and time of a simulated frame, a generated frame and a training step as each size doubles.
 
-make bench-scaling                     # Markdown; half an hour on two cores
+make bench-scaling                     # Markdown; half an hour on two cores. Single sizes go to the standard error
 make bench-scaling ARGS="--doublings 2 --no-check --work 'training step'"
 
 Every row is measured in a process of its own, so that the peak of its memory is its own. Exponents are those of the
@@ -22,15 +22,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import TextIO
 
 import numpy as np
 import torch
 import trimesh
-from ablate.tracking import hardware
 from torch import Tensor
 
 from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.study.provenance import hardware
 from ablate.training import Engine, TrainingPrecision, TrainingSettings, chosen_device, open_engine, train
 from ablate.ultrasound import Simulator, SimulatorSettings
 from yardstick import Yardstick, milliseconds
@@ -238,9 +239,9 @@ def growth(sizes: list[float], memory: list[float]) -> Growth | None:
     return through(sizes, memory, max(1.0, math.log2(second / first)))
 
 
-def row(*cells: str) -> None:
+def row(*cells: str, file: TextIO | None = None) -> None:
     """Print a row of a Markdown table."""
-    print(f"| {' | '.join(cells)} |", flush=True)
+    print(f"| {' | '.join(cells)} |", flush=True, file=file)
 
 
 def shown(value: float) -> str:
@@ -258,7 +259,7 @@ def grow(what: str, name: str, doublings: int, check: bool) -> tuple[str, ...]:
             break
         sizes.append(first * 2**k)
         costs.append(found)
-        row(what, name, shown(sizes[-1]), f"{found.peak_gib:.2f}", f"{found.ms:.0f}")
+        row(what, name, shown(sizes[-1]), f"{found.peak_gib:.2f}", f"{found.ms:.0f}", file=sys.stderr)
     time = f"{exponent(sizes, [c.ms for c in costs]):.2f}" if len(sizes) > 2 else "not known"
     if len(sizes) < 3:
         return what, name, "not known", time, *["not known: too few sizes could be run"] * len(BUDGETS_GIB), ""
@@ -298,12 +299,10 @@ def main() -> None:
         parser.error("--doublings: at least 2, exponents are of three sizes")
     usual = "; ".join(f"{w}: {', '.join(f'{k} {shown(v)}' for k, v in s.items())}" for w, s in USUAL.items())
     print(f"{hardware()}, torch {torch.__version__}. Where another size grows: {usual}.\n")
-    row("work", "size", "value", "peak, GiB", "ms")
-    row(*["---"] * 5)
+    row("work", "size", "value", "peak, GiB", "ms", file=sys.stderr)
     yardstick = Yardstick()
     yardstick.tick()
     facts = [grow(what, name, args.doublings, args.check) for what in args.work for name in FIRST[what]]
-    print()
     head = ("work", "as it grows", "memory", "time ~ n^", "fits in 4 GiB", "fits in 24 GiB", "that for 4 GiB, run")
     row(*head)
     row(*["---"] * len(head))

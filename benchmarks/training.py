@@ -2,14 +2,12 @@
 
 make bench-training
 make bench-training ARGS="--variants sa2h --threads 1 --rounds 10"
-make bench-training ARGS="--parts --threads 1"
 
 Ours is `ablate.training.train` on the crops of a data set, as `preset=quick` trains: drawing of crops, logging and
 the running average of weights included. The plain one is pix2pix's step in fp32 with plain modules of torch, on the
 same crops and with the same losses. It renders each batch once for either network (`--forwards 1`: once for both, as
 pix2pix's own code does). Each runs in a process of its own; they take their steps in turns. A ratio is that of two
-successive steps, and the median over the rounds is reported. `--parts` compares ours with itself, one part switched
-off at a time.
+successive steps, and the median over the rounds is reported.
 
 On one thread of a CPU, processor time is measured, which other processes change little; otherwise the clock decides,
 and the machine should have nothing else to do.
@@ -29,16 +27,15 @@ from subprocess import PIPE
 
 import numpy as np
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.tracking import hardware
 from torch import Tensor
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import CropLoader, Crops, CropSettings, PlacedFrames, StoredAs, create_pairs, fill_pairs, open_pairs
 from ablate.networks import conditions, draws_noise
 from ablate.settings.study import StudySettings
+from ablate.study.provenance import hardware
 from ablate.training import Reconstruction, TrainingPrecision, chosen_device, chosen_precision, train
 from plain_training import PlainGAN
-from training_parts import COMPILED, PARTS, TRIED
 from yardstick import ABOUT, Yardstick
 
 Times = list[list[float]]
@@ -126,7 +123,7 @@ def in_processes(
     variant: str,
     threads: int,
     sides: Sequence[Sequence[str]],
-    yardstick: Yardstick | None = None,
+    yardstick: Yardstick,
 ) -> Times:
     """Milliseconds of the steps of several sides, taken in turns with the yardstick, the warm-up apart."""
     command = [sys.executable, __file__, *sys.argv[1:], "--folder", str(arguments.folder), "--variants", variant]
@@ -144,12 +141,10 @@ def in_processes(
             if not answer:
                 raise SystemExit(f"{' '.join(map(str, process.args))}: ended early")
             times.append(float(answer))
-        if yardstick is not None:
-            yardstick.tick()
+        yardstick.tick()
     for process in processes:
         process.communicate()
-    if yardstick is not None:
-        del yardstick.convolutions[:WARM_UP], yardstick.loops[:WARM_UP]
+    del yardstick.convolutions[:WARM_UP], yardstick.loops[:WARM_UP]
     return [times[WARM_UP:] for times in taken]
 
 
@@ -171,20 +166,6 @@ def compare(arguments: argparse.Namespace, batch: int) -> None:
     print(f"\n{ABOUT}")
 
 
-def compare_parts(arguments: argparse.Namespace) -> None:
-    """Print what a step takes without each part, and with what was tried and left out, next to ours."""
-    rows = [("without", name) for name in PARTS] + [("with", name) for name in TRIED]
-    rows += [("with", name) for name in COMPILED if arguments.compile]
-    print(f"| variant | threads | {'ours':42} | times as long |")
-    print(f"|:--------|--------:|:{'-' * 42}-|--------------:|")
-    for threads, variant in product(arguments.threads, arguments.variants):
-        for how, name in rows:
-            whole, changed = in_processes(
-                arguments, variant, threads, [["--side", "ours"], ["--side", "ours", "--changed", name]]
-            )
-            print(f"| {variant:7} | {threads:7} | {how:7} {name:34} | {ratio(changed, whole):13.2f} |", flush=True)
-
-
 def main() -> None:
     """Print a table, or be one of its sides."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -192,8 +173,6 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[2, 1])
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--forwards", type=int, choices=(1, 2), default=2, help="of the plain generator a step")
-    parser.add_argument("--parts", action="store_true", help="of our loop: what each of them saves")
-    parser.add_argument("--compile", action="store_true", help="with --parts: torch.compile as well (minutes)")
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--precision", default="auto", choices=list(TrainingPrecision))
     parser.add_argument("--width", type=float, help="of the networks, if not the preset's")
@@ -201,11 +180,8 @@ def main() -> None:
     parser.add_argument("--crop", type=int)
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
     parser.add_argument("--side", choices=("ours", "plain"), help=argparse.SUPPRESS)
-    parser.add_argument("--changed", choices=[*PARTS, *TRIED, *COMPILED], help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.changed is not None:
-        (PARTS | TRIED | COMPILED)[arguments.changed]()
     if arguments.side is not None:
         take_steps(arguments)
         return
@@ -218,10 +194,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         arguments.folder = Path(folder)
         drawn_pairs(arguments.folder / "data", s.simulator.image_shape)
-        if arguments.parts:
-            compare_parts(arguments)
-        else:
-            compare(arguments, s.training.batch_size)
+        compare(arguments, s.training.batch_size)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 # jupyter:
 #   jupytext:
 #     text_representation:
+#       extension: .py
 #       format_name: percent
 #   kernelspec:
 #     name: python3
@@ -19,10 +20,10 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import matplotlib.pyplot as plt
-from ablate.comparison.opened import found_study
 from IPython.display import Image
 
 from ablate.analysis import qualitative_figure
+from ablate.study.opened import found_study
 
 study = found_study()
 folder = Path(mkdtemp())

@@ -2,6 +2,7 @@
 # jupyter:
 #   jupytext:
 #     text_representation:
+#       extension: .py
 #       format_name: percent
 #   kernelspec:
 #     name: python3
@@ -18,10 +19,10 @@
 from pathlib import Path
 from tempfile import mkdtemp
 
-from ablate.comparison.opened import found_study
 from IPython.display import Image, display
 
 from ablate.analysis import chi2_maps_figure
+from ablate.study.opened import found_study
 
 study = found_study()
 folder = Path(mkdtemp())

@@ -2,6 +2,7 @@
 # jupyter:
 #   jupytext:
 #     text_representation:
+#       extension: .py
 #       format_name: percent
 #   kernelspec:
 #     name: python3
@@ -18,11 +19,11 @@
 from pathlib import Path
 from tempfile import mkdtemp
 
-from ablate.comparison.opened import found_study
 from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
 from ablate.metrics import Group, Shown, metric_of, shown_in
+from ablate.study.opened import found_study
 
 study = found_study()
 folder, paired = Path(mkdtemp()), paired_table(study.per_image, study.reference)

@@ -2,6 +2,7 @@
 # jupyter:
 #   jupytext:
 #     text_representation:
+#       extension: .py
 #       format_name: percent
 #   kernelspec:
 #     name: python3
@@ -22,8 +23,6 @@ from unittest.mock import patch
 
 import matplotlib.pyplot as plt
 import numpy as np
-from ablate.comparison.opened import found_study
-from ablate.runs.simulated import build_scene
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Patch
 from scipy.ndimage import maximum_filter1d
@@ -33,6 +32,8 @@ from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import bounds_mm
 from ablate.dataset import Part
 from ablate.settings.study import SceneKind
+from ablate.sources.source import source_of
+from ablate.study.opened import found_study
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
 from ablate.ultrasound.probe import fan_of, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
@@ -49,7 +50,7 @@ study = found_study()
 run = study.usable.runs[0]  # scene, probe and simulator are the same for all
 if run.settings.scene.kind is SceneKind.pairs:
     raise SystemExit("The pairs of this study were made elsewhere: it has no scene. Run `make sweep`.")
-scene, grid = build_scene(run.settings)
+scene, grid = source_of(run.training.settings).scene()
 pairs, probe, settings = run.data_set.pairs, run.settings.probe, SimulatorSettings()
 tests = pairs.frames(Part.test)
 variety = [len(np.unique(labels)) for labels in pairs.read("segmentation", tests)]

@@ -2,6 +2,7 @@
 # jupyter:
 #   jupytext:
 #     text_representation:
+#       extension: .py
 #       format_name: percent
 #   kernelspec:
 #     name: python3
@@ -15,12 +16,12 @@
 # another study. Nothing is trained.
 
 # %%
-from ablate.comparison.opened import found_study
 from IPython.display import Markdown
 
 from ablate.analysis import paired_table, to_latex, to_markdown
 from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Shown, shown_in
+from ablate.study.opened import found_study
 
 study = found_study()
 columns = shown_in(Shown.table)

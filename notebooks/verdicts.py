@@ -2,6 +2,7 @@
 # jupyter:
 #   jupytext:
 #     text_representation:
+#       extension: .py
 #       format_name: percent
 #   kernelspec:
 #     name: python3
@@ -21,11 +22,11 @@
 from pathlib import Path
 from tempfile import mkdtemp
 
-from ablate.comparison.opened import ANSWER, found_study
 from IPython.display import Image, display
 
 from ablate.analysis import caption, forest_figure, improvements, interactions
 from ablate.metrics import metric_of
+from ablate.study.opened import ANSWER, found_study
 
 study = found_study(ANSWER, "make answer")
 answers = study.answers

@@ -15,7 +15,8 @@ import pandas as pd
 from scipy import stats
 from tqdm import trange
 
-from ablate.analysis import Claim, factorial_effects, paired_difference, seed_claims
+import ablate
+from ablate.analysis import RESIMULATION, Claim, factorial_effects, paired_difference, seed_claims
 
 VARIANTS, METRICS = 8, 5  # of a study: seven comparisons in five metrics
 LEVEL = 0.05
@@ -48,14 +49,13 @@ class Sizes:
 MEASURED = Sizes(run=0.085, run_site=0.123, run_frame=0.195, sites=16, frames=6)
 
 
-def sizes_of(study: Path, metric: str = "psnr") -> Sizes:
+def sizes_of(values: pd.DataFrame) -> Sizes:
     """Random effects between the seeds of the same variant, by moments (one-way analysis of variance over sites).
 
     Parameters
     ----------
-    study : Path
-        Holds `<label>/seed<k>/per_image.parquet`, at least one label with two seeds.
-    metric : str
+    values : DataFrame
+        Columns variant, seed, site, frame and value: one metric, as in `Study.per_image`.
 
     Returns
     -------
@@ -64,14 +64,11 @@ def sizes_of(study: Path, metric: str = "psnr") -> Sizes:
     Raises
     ------
     ValueError
-        When no label has two seeds.
+        When no variant has two seeds.
     """
-    tables = [pd.read_parquet(path) for path in sorted(study.glob("*/seed*/per_image.parquet"))]
-    values = pd.concat(tables) if tables else pd.DataFrame({"metric": [], "split": [], "source": []})
-    values = values[(values["metric"] == metric) & (values["split"] == "test") & (values["source"] == "model")]
     found = []
-    for _, of in values.groupby("variant", observed=True) if len(values) else ():
-        by_seed = of.pivot(index=["site", "frame"], columns="seed", values="value")
+    for _, of_variant in values.groupby("variant", observed=True):
+        by_seed = of_variant.pivot(index=["site", "frame"], columns="seed", values="value")
         for a, b in combinations(by_seed, 2):
             difference = (by_seed[a] - by_seed[b]).dropna()
             sites = difference.groupby("site")
@@ -83,9 +80,9 @@ def sizes_of(study: Path, metric: str = "psnr") -> Sizes:
             run = difference.mean() ** 2 - between / n
             found.append((run / 2, site / 2, within / 2, len(sizes), n / len(sizes)))
     if not found:
-        raise ValueError(f"{study} holds no variant with two seeds")
-    run, site, frame, sites_, frames = np.mean(found, axis=0).tolist()
-    return Sizes(max(run, 0.0) ** 0.5, site**0.5, frame**0.5, round(sites_), round(frames))
+        raise ValueError("no variant has two seeds")
+    run, site, frame, sites, frames = np.mean(found, axis=0).tolist()
+    return Sizes(max(run, 0.0) ** 0.5, site**0.5, frame**0.5, round(sites), round(frames))
 
 
 def draw_runs(sizes: Sizes, runs: int, rng: np.random.Generator) -> np.ndarray:
@@ -253,7 +250,11 @@ def main() -> None:
     parser.add_argument("--study", type=Path, default=None, help="take the random effects from this study")
     parser.add_argument("--repetitions", type=int, default=1000)
     args = parser.parse_args()
-    for line in report(sizes_of(args.study) if args.study else MEASURED, args.repetitions):
+    sizes = MEASURED
+    if args.study:
+        values = ablate.open_study(args.study).per_image
+        sizes = sizes_of(values[(values["metric"] == "psnr") & (values["variant"] != RESIMULATION)])
+    for line in report(sizes, args.repetitions):
         print(line, flush=True)
 
 

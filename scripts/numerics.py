@@ -52,7 +52,6 @@ TABLES = {
     "order": "Observed order",
     "grids": "Error of a grid",
     "limits": "Single precision",
-    "budgets": "The best within",
     "stages": "Stages of a simulated",
 }
 

@@ -16,7 +16,7 @@ from numerics import markdown
 SHOWN = ("mae_smooth", "pchi2_tissue", "shadow_contrast", "thin_contrast", "crps", "noise_sd")
 
 
-def shares(study: "ablate.comparison.opened.Study") -> pd.DataFrame:
+def shares(study: "ablate.study.opened.Study") -> pd.DataFrame:
     """A row a run: its scores on validation sites over those of re-simulation, FD speckle, and minutes of training."""
     rows = {}
     for run in study.usable.runs:

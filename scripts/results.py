@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from ablate.comparison.frame_times import TIMES
-from ablate.comparison.reading import pictures
-from ablate.comparison.usable_runs import usable_runs
 from ablate.runs.run import Run, State
 
 from ablate.analysis import RESIMULATION
 from ablate.storage import write_json
+from ablate.study.comparable import usable_runs
+from ablate.study.frame_times import TIMES
+from ablate.study.reading import pictures
 from results_page import FRAME, MAIN, PICTURES, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -9,9 +9,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-from ablate.comparison.opened import Study
-from ablate.comparison.reading import provenance
-from ablate.jobs.compose import jobs_of
 from ablate.runs.run import Run
 from PIL import Image
 
@@ -31,9 +28,12 @@ from ablate.analysis import (
 from ablate.analysis.figures.style import shown_name
 from ablate.analysis.statistics.verdicts import ALPHA
 from ablate.analysis.tables import NOTHING, head
+from ablate.command.compose import jobs_of
 from ablate.metrics import metric_of
 from ablate.metrics.metric import FRAME_TIME
 from ablate.settings.conf import components
+from ablate.study.opened import Study
+from ablate.study.reading import provenance
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
 FRAME, PICTURES = "frame.npz", "pictures.npz"

@@ -7,11 +7,11 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from ablate.comparison.reading import provenance
 from ablate.runs.run import Run
 
 from ablate.dataset import label_values
 from ablate.pretrained import Renderer, save, values_of
+from ablate.study.reading import provenance
 from ablate.training import load_generator
 
 SHIPPED = Path(__file__).parents[1] / "src/ablate/pretrained"

@@ -46,7 +46,10 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 def rendered(notebook: Path) -> dict[str, str | bytes]:
     """A notebook as a page with the outputs of its last run, and its pictures."""
-    text, resources = MarkdownExporter().from_notebook_node(nbformat.read(notebook, as_version=4))
+    kept = nbformat.read(notebook, as_version=4)
+    text, resources = MarkdownExporter().from_notebook_node(kept)
+    study, version = kept.metadata["ablate"]["study"], kept.metadata["ablate"]["simulator_version"]
+    text += f"\n*Last run on the study `{study}`, made with version {version} of the simulator.*\n"
     pictures = {f"{notebook.stem}_{name}": content for name, content in resources["outputs"].items()}
     for name in resources["outputs"]:
         text = text.replace(f"]({name})", f"]({notebook.stem}_{name})")

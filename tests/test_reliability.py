@@ -11,8 +11,7 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from types import ModuleType
 
 import pytest
 
@@ -51,18 +50,27 @@ def value_logged_again(runs: Path) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a lost result": (lambda runs: result_of(runs).unlink(), "sa2h/seed0: no result"),
-    "an empty result": (lambda runs: result_of(runs).write_text(""), "sa2h/seed0: no result"),
-    "another score": (score_changed, "other scores: test/psnr"),
-    "lost frames": (lambda runs: result_of(runs).with_name("per_image.parquet").write_bytes(b"PAR1"), "per_image"),
-    "a value twice": (value_logged_again, "1 values are logged twice"),
-    "a lost value": (lambda runs: execute(runs, "DELETE FROM metrics WHERE key = 'test/mae'"), "2 values are missing"),
+    "a lost result": (lambda runs: result_of(runs).unlink(), "sa2h/seed0/result.json: missing, added or another"),
+    "an empty result": (
+        lambda runs: result_of(runs).write_text(""),
+        "sa2h/seed0/result.json: missing, added or another",
+    ),
+    "another score": (score_changed, "sa2h/seed0/result.json: missing, added or another"),
+    "lost frames": (
+        lambda runs: result_of(runs).with_name("per_image.parquet").write_bytes(b"PAR1"),
+        "per_image.parquet",
+    ),
+    "a value twice": (value_logged_again, "1 values are there twice"),
+    "a lost value": (
+        lambda runs: execute(runs, "DELETE FROM metrics WHERE key = 'test/mae'"),
+        "2 values are missing or others",
+    ),
     "a run left open": (
         lambda runs: execute(runs, "UPDATE runs SET status = 'RUNNING' WHERE name = 'sa2h/seed0'"),
         "RUN",
     ),
     "a run too many": (lambda runs: execute(runs, "UPDATE runs SET name = 'sa2h/seed0'"), "the runs are"),
-    "no comparison": (lambda runs: shutil.rmtree(runs / "tiny-fetal" / "comparison"), "comparison: missing"),
+    "no comparison": (lambda runs: shutil.rmtree(runs / "tiny-fetal" / "comparison"), "paired.csv: missing"),
 }
 
 
@@ -70,55 +78,38 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_the_judge_finds_what_is_lost_doubled_or_changed(
     chaos: ModuleType, tiny_study: TinyStudy, tmp_path: Path, fault: str
 ) -> None:
-    differences = importlib.import_module("faults.judge").differences
+    differences = sys.modules[chaos.Bench.__module__].differences
     runs = tmp_path / "runs"
     shutil.copytree(tiny_study.runs, runs, ignore=shutil.ignore_patterns("data", "artifacts"))
     assert differences(runs, tiny_study.runs) == []
     damage, message = FAULTS[fault]
     damage(runs)
     assert message in " ".join(differences(runs, tiny_study.runs))
-    assert chaos
 
 
-def test_a_campaign_goes_on_where_it_stopped_and_the_page_has_all_its_seeds(
-    chaos: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_a_campaign_takes_turns_and_counts_the_rounds_in_which_something_was_wrong(
+    chaos: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench, tried = SimpleNamespace(unbroken=None), []
+    drawn: list[float] = []
 
-    def tries(_: object, rng: random.Random, number: int) -> Any:
-        tried.append((number, rng.random()))
-        return chaos.Round([], 2, {"waited, s": float(number)})
+    def every_second_fails(_: object, rng: random.Random, number: int) -> list[str]:
+        drawn.append(rng.random())
+        return ["a lost run"] * (number % 2)
 
-    fault = chaos.Fault("tries", "a fault", "nothing is lost", tries, 6, 1)
-    monkeypatch.setattr(chaos, "FAULTS", (fault,))
-    monkeypatch.setattr(chaos, "KEPT", tmp_path)
-    for _ in range(2):  # the second call finds that two rounds are done
-        row = chaos.noted(fault, tmp_path / "abc-1")
-        chaos.campaign([row], bench, 1, 60.0, 2, tmp_path / "abc-1")
-    assert [number for number, _ in tried] == [0, 1]
-    chaos.campaign([chaos.noted(fault, tmp_path / "abc-2")], bench, 2, 60.0, None, tmp_path / "abc-2")
-    assert [number for number, _ in tried] == [0, 1, 0], "another seed does what the first has left"
-    assert len({drawn for _, drawn in tried}) == 3, "each round draws its own numbers, whatever call and seed it is in"
-
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{chaos.BEGIN}\n{chaos.END}\nafter")
-    monkeypatch.setattr(chaos, "PAGE", page)
-    both, seeds = chaos.of_all_seeds(fault, tmp_path, "abc")
-    chaos.write_page([both.cells("abc", seeds)], "")
-    complete = page.read_text()
-    reached = "3 of 3 rounds as they must be; at most 1.0 waited, s"
-    assert f"| 6 of 6 | nothing is lost | {reached} | holds | abc | 1, 2 |" in complete
-    chaos.campaign([chaos.noted(fault, tmp_path / "def-1")], bench, 1, 60.0, 1, tmp_path / "def-1")
-    newer, seeds = chaos.of_all_seeds(fault, tmp_path, "def")
-    assert newer.cells("def", seeds)[1::3] == ("2 of 6", "holds so far")
-    chaos.write_page([newer.cells("def", seeds)], "")
-    assert page.read_text() == complete, "a complete row stays until the new one is complete"
+    faults = {name: chaos.Fault(f"fault {name}", "nothing is lost", every_second_fails) for name in ("a", "b")}
+    monkeypatch.setattr(chaos, "FAULTS", faults)
+    found = chaos.campaign(["a", "b"], None, seed=1, seconds=60.0, rounds=3)
+    assert found == {name: [[], ["a lost run"], []] for name in ("a", "b")}
+    assert len(set(drawn)) == 6, "each round draws its own numbers"
+    assert "| fault b | nothing is lost | 2 of 3 |" in chaos.table(found)
 
 
 @pytest.mark.slow
 def test_a_short_campaign_finds_nothing_wrong(tmp_path: Path) -> None:
-    command = [sys.executable, str(BENCHMARKS / "chaos.py"), "--short", "--minutes", "20", "--folder", str(tmp_path)]
+    command = [sys.executable, str(BENCHMARKS / "chaos.py"), "--only", "kill,twice,damage", "--rounds", "1"]
     environment = {key: value for key, value in os.environ.items() if key != "MLFLOW_TRACKING_URI"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    done = subprocess.run(
+        [*command, "--folder", str(tmp_path)], capture_output=True, text=True, check=False, env=environment
+    )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "holds" in done.stdout
+    assert done.stdout.count("1 of 1") == 3

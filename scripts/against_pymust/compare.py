@@ -2,7 +2,7 @@
 
 python scripts/against_pymust/compare.py
 
-Prints the table of docs/against_pymust.md and writes it as table.csv, and the figure as images.png, beside this file.
+Prints the table of docs/against_pymust.md and writes it as docs/against_pymust/table.csv.
 """
 
 import csv
@@ -12,24 +12,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from comparison_figure import draw
 from lesion_phantom import Lesion, Phantom, scatterers, scene
 from pymust_array import Array, PointWidths, Scatterers, images, point_widths
 from speckle_measures import (
     cell_size,
-    cnr,
     contrast_db,
     expected_cell,
     expected_contrast_db,
     expected_mean_over_sd,
-    gcnr,
     lesion_diameter,
     level,
     mean_over_sd,
     radial_profile,
-    rayleigh_cnr,
     rayleigh_distance,
-    rayleigh_gcnr,
     scatterers_per_cell,
 )
 
@@ -143,8 +138,6 @@ def measured(phantom: Phantom, envelope: np.ndarray) -> dict[str, float]:
         outside = flat[clear & (distance < RINGS_MM[-1])]
         profile = radial_profile(flat**2, distance, RINGS_MM)
         found[f"{lesion.name}: contrast (dB)"] = contrast_db(inside, outside)
-        found[f"{lesion.name}: CNR"] = cnr(inside, outside)
-        found[f"{lesion.name}: gCNR"] = gcnr(inside, outside)
         found[f"{lesion.name}: diameter (mm)"] = lesion_diameter(profile, RINGS_MM, 2 * lesion.radius_mm)
     return found
 
@@ -169,8 +162,6 @@ def expected(phantom: Phantom, point_images: Sequence[np.ndarray], per_mm2: floa
         outside = phantom.clear(MARGIN_MM) & (distance < RINGS_MM[-1])
         contrast = expected_contrast_db(power, middle, distance < lesion.radius_mm - MARGIN_MM, outside)
         found[f"{lesion.name}: contrast (dB)"] = contrast
-        found[f"{lesion.name}: CNR"] = rayleigh_cnr(contrast)
-        found[f"{lesion.name}: gCNR"] = rayleigh_gcnr(contrast)
         found[f"{lesion.name}: diameter (mm)"] = 2 * lesion.radius_mm
     return found
 
@@ -196,12 +187,11 @@ def main() -> None:
     widths = point_widths(array, np.arange(30.0, 71.0, 10.0))
     settings = matched_settings(PHANTOM, widths)
     for depth, axial, lateral in zip(widths.depth_mm, widths.axial_mm, widths.lateral_mm, strict=True):
-        print(f"a point in PyMUST at {depth:.0f} mm: {axial:.3f} mm axially, {lateral:.3f} mm laterally;", end=" ")
         print(
-            f"in ablate: {settings.axial_fwhm_mm:.3f} mm and {lateral_fwhm_mm(PHANTOM, settings, depth):.3f} mm;",
-            end=" ",
+            f"a point in PyMUST at {depth:.0f} mm: {axial:.3f} mm axially, {lateral:.3f} mm laterally; in ablate: "
+            f"{settings.axial_fwhm_mm:.3f} mm and {lateral_fwhm_mm(PHANTOM, settings, depth):.3f} mm; "
+            f"{PHANTOM.per_mm2 * axial * lateral:.1f} of PyMUST's scatterers in that area"
         )
-        print(f"{PHANTOM.per_mm2 * axial * lateral:.1f} of PyMUST's scatterers in that area")
     alone = points(PHANTOM)
     clouds = [*alone, *(scatterers(PHANTOM, seed) for seed in PYMUST_SEEDS)]
     seen = images(array, clouds, PHANTOM.depths_mm, PHANTOM.angles_rad)
@@ -222,13 +212,6 @@ def main() -> None:
             print("|", " | ".join(["---"] * len(row)), "|")
     with (HERE / "table.csv").open("w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows(rows)
-    draw(
-        HERE / "images.png",
-        PHANTOM,
-        {"PyMUST": [flattened(PHANTOM, e) for e in theirs], "ablate": [flattened(PHANTOM, e) for e in ours]},
-        PHANTOM.clear(MARGIN_MM),
-        RINGS_MM,
-    )
 
 
 if __name__ == "__main__":

@@ -64,20 +64,6 @@ def contrast_db(inside: np.ndarray, outside: np.ndarray) -> float:
     return float(10 * np.log10((inside**2).mean() / (outside**2).mean()))
 
 
-def cnr(inside: np.ndarray, outside: np.ndarray) -> float:
-    """Difference of the mean envelopes over the root of the sum of their variances."""
-    return float(abs(outside.mean() - inside.mean()) / np.sqrt(inside.var() + outside.var()))
-
-
-def gcnr(inside: np.ndarray, outside: np.ndarray) -> float:
-    """Generalised contrast-to-noise ratio: 1 less the overlap of the two densities of the envelope.
-
-    Rodriguez-Molares et al. 2020, doi:10.1109/TUFFC.2019.2956855. Densities that cross once, as Rayleigh's do, differ
-    by the largest distance of their distribution functions, which needs no bins.
-    """
-    return float(stats.ks_2samp(inside, outside).statistic)
-
-
 def radial_profile(power: np.ndarray, radius_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
     """Mean power within rings."""
     ring = np.digitize(radius_mm.ravel(), edges_mm)
@@ -100,19 +86,6 @@ def lesion_diameter(profile: np.ndarray, edges_mm: np.ndarray, guess_mm: float) 
     error = np.maximum(profile, 0.1 * profile.max()) / np.sqrt(r)
     fit, _ = optimize.curve_fit(step, r, profile, guess, sigma=error, bounds=([0, 0, 0, 0.05], np.inf))
     return float(2 * fit[2])
-
-
-def rayleigh_cnr(contrast_db: float) -> float:
-    """`cnr` of two Rayleigh distributions whose powers differ by `contrast_db`."""
-    ratio = 10 ** (contrast_db / 20)
-    return float(_RAYLEIGH_SNR * abs(1 - ratio) / np.hypot(1, ratio))
-
-
-def rayleigh_gcnr(contrast_db: float) -> float:
-    """`gcnr` of two Rayleigh distributions whose powers differ by `contrast_db`, not 0."""
-    ratio = 10 ** (-abs(contrast_db) / 10)
-    cross = np.log(1 / ratio) / (1 / ratio - 1)  # where the two exponential densities of the power meet
-    return float(np.exp(-cross) - np.exp(-cross / ratio))
 
 
 def scatterers_per_cell(power: np.ndarray, pixel_mm2: float, per_mm2: float) -> float:

@@ -39,25 +39,23 @@ def test_factorial_effects_keep_their_level_and_find_what_is_there():
     assert SCRIPT["factorial_level"](sizes, 3, SCRIPT["spread_of_run_means"](sizes), 200) > 0.8
 
 
-def test_random_effects_are_estimated_from_a_study(tmp_path):
+def test_random_effects_are_estimated_from_a_study():
     sizes = SCRIPT["Sizes"](run=0.3, run_site=0.2, run_frame=0.4, sites=30, frames=6)
     rng = np.random.default_rng(0)
     frames = np.arange(180)
+    tables = []
     for variant in ("sa2h", "nsa2h"):
         runs = SCRIPT["draw_runs"](sizes, 12, rng).reshape(12, -1)
         for seed, values in enumerate(runs):
-            table = pd.DataFrame({"value": 20 + values, "frame": frames, "site": frames // 6, "metric": "psnr"})
-            folder = tmp_path / variant / f"seed{seed}"
-            folder.mkdir(parents=True)
-            table = table.assign(variant=variant, seed=seed, split="test", source="model")
-            table.to_parquet(folder / "per_image.parquet")
-    estimated = SCRIPT["sizes_of"](tmp_path)
+            table = pd.DataFrame({"value": 20 + values, "frame": frames, "site": frames // 6})
+            tables.append(table.assign(variant=variant, seed=seed))
+    estimated = SCRIPT["sizes_of"](pd.concat(tables))
     assert estimated.run == pytest.approx(0.3, rel=0.3)
     assert estimated.run_site == pytest.approx(0.2, rel=0.1)
     assert estimated.run_frame == pytest.approx(0.4, rel=0.05)
     assert (estimated.sites, estimated.frames) == (30, 6)
-    with pytest.raises(ValueError, match="no variant with two seeds"):
-        SCRIPT["sizes_of"](tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="no variant has two seeds"):
+        SCRIPT["sizes_of"](tables[0])
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
 from ablate.settings.study import ConfigurationError
-from ablate.sources.simulated import build_scene
+from ablate.sources.source import source_of
 from ablate.storage import digest
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
@@ -113,7 +113,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     s = job.settings
     pairs = job.data.pairs
     frames = pairs.frames(Part.test)[[0, -1]]
-    scene, _ = build_scene(s)
+    scene, _ = source_of(s).scene()
     exact, coarse = (
         Simulator(scene, s.probe, replace(s.simulator, rays=rays, time_gain_db=job.data.time_gain_db))
         for rays in (32, 4)

@@ -22,7 +22,7 @@ from support.servers import Mlflow, Postgres, new_postgres, why_no_postgres
 from support.studies import run
 
 if TYPE_CHECKING:
-    from faults.commands import Command
+    from faults import Command
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(why_no_postgres()), reason=why_no_postgres())]
 
@@ -74,7 +74,7 @@ def group(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Group]:
             patch.setenv("MLFLOW_TRACKING_USERNAME", USER)
             patch.setenv("MLFLOW_TRACKING_PASSWORD", PASSWORD)
             patch.syspath_prepend(str(BENCHMARKS))
-            ablate = importlib.import_module("faults.commands").ablate
+            ablate = importlib.import_module("faults").ablate
             runs = tuple(place / f"person{k}" / "runs" for k in range(FOLDERS))
             assert run(*SWEEP, f"runs_dir={runs[0]}", "task=simulate") == 0
             for folder in runs[1:]:

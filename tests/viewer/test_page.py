@@ -21,7 +21,7 @@ from ablate.command.compose import jobs_of
 from ablate.dataset import read_poses
 from ablate.settings.study import ConfigurationError, Task
 from ablate.sources.prepare import simulator_of
-from ablate.sources.simulated import build_scene
+from ablate.sources.source import source_of
 from ablate.ultrasound import Simulator
 from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
@@ -185,7 +185,9 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     assert job.settings.probe == saved.probe
     assert job.settings.dataset.seed == saved.seed == 1
     np.testing.assert_array_equal(read_poses(str(job.settings.pose), "pose")[0], saved.pose[None])
-    settings = simulator_of(job, viewer.page.scene, build_scene(job.settings)[1], saved.pose[None])
+    settings = simulator_of(
+        job.settings, job.data, viewer.page.scene, source_of(job.settings).scene()[1], saved.pose[None]
+    )
     frame = Simulator(viewer.page.scene, saved.probe, settings).render(saved.pose, saved.seed)
     np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), frame.image)
     viewer.session.freeze(False)

@@ -1,1 +1,0 @@
-"""The faults of the campaign `benchmarks/chaos.py`, a file a theme."""
