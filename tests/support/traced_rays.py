@@ -27,6 +27,8 @@ def follow(
         tissue_of_owner=plan.tissue_of_owner,
         elements=bundle.starts,
         axes=bundle.directions,
+        origins=bundle.origins,
+        ways=bundle.ray_directions,
         rays=settings.rays,
         path_seed=draws.seed,
         depth_mm=probe.depth_mm,

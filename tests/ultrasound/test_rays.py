@@ -1,8 +1,10 @@
 """Rays: hits as embreex has them; the illumination behind surfaces, their echoes, and where these are."""
 
 import pathlib
+import re
 import time
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from embreex.rtcore_scene import EmbreeScene
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces import embree
+from ablate.ultrasound.surfaces.embree import RAY_HIT, Geometry
 from support.traced_rays import follow, illumination
 
 
@@ -38,6 +41,27 @@ def test_hits_are_those_of_embreex(tissue: Tissue) -> None:
     np.testing.assert_array_equal(hits.structure, wanted["geomID"])
     for mine, name in ((hits.distance_mm, "tfar"), (hits.triangle, "primID"), (hits.normal, "Ng")):
         np.testing.assert_array_equal(mine[met], wanted[name][met])
+
+
+def test_fields_are_those_that_embreex_reads() -> None:
+    """It declares them for Cython, whose C compiler checks them against Embree's own header."""
+    declared = resources.files("embreex").joinpath("rtcore_ray.pxd").read_text(encoding="utf-8")
+    fields = re.findall(r"^ +(?:float|unsigned int) (\w+)", declared, re.MULTILINE)
+    assert tuple(fields) == RAY_HIT
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"MAJOR_VERSION": 5}, "embreex brings Embree 4: allowed is embreex>=4,<5"),
+        ({"_SIGNATURES": {"rtcIntersectN2": (None, ())}}, "without rtcIntersectN2: allowed is embreex>=4,<5"),
+    ],
+)
+def test_another_embree_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch, changed: dict, message: str) -> None:
+    for name, value in changed.items():
+        monkeypatch.setattr(embree, name, value)
+    with pytest.raises(ImportError, match=message):
+        embree._loaded()
 
 
 def test_a_scene_that_is_gone_gives_its_memory_back(tissue: Tissue) -> None:

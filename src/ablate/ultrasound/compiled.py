@@ -48,12 +48,25 @@ def compiled(function: Function) -> Function:
 
     No fast-math: the same numbers whatever the processor's vectors.
     """
+    return _kept(function, inlined=False)
+
+
+def step(function: Function) -> Function:
+    """Compile a function that is a part of the loop that calls it: `compiled`, and LLVM puts it in there.
+
+    A call would count references to each array that it hands over, with locks, and write all numbers of a View to
+    memory. For one ray this takes longer than to trace it.
+    """
+    return _kept(function, inlined=True)
+
+
+def _kept(function: Function, inlined: bool) -> Function:
     chosen = getattr(config, _KEPT_IN)  # NUMBA_CACHE_DIR
     base = Path(chosen) if chosen else _ROOM / "__pycache__" if os.access(_ROOM, os.W_OK) else None
     try:
         if base is not None:
             setattr(config, _KEPT_IN, str(base / f"compiled-{_DIGEST}"))
-        return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
+        return cast(Function, njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)(function))
     finally:
         setattr(config, _KEPT_IN, chosen)
 

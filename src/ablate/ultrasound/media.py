@@ -40,6 +40,14 @@ class Medium(NamedTuple):
     anechoic: bool
 
 
+class Surface(NamedTuple):
+    """A row of `Media`, in numbers: what a ray that meets the surface of a structure needs."""
+
+    lobe_exponent: float
+    specularity: float
+    thickness_mm: float
+
+
 def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
     """Amplitude lost one way, alpha f^b, dB/mm."""
     return tissue.attenuation_db_cm_mhz * frequency_mhz**tissue.attenuation_power / 10

@@ -23,8 +23,22 @@ from ablate.ultrasound.compiled import Vector, compiled
 
 _TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003  # rtcore.h
 _ROBUST, _FILTER_IN_ARGUMENTS, _ASK_FILTER = 4, 8, 2
-_FLOATS = 24  # of RTCRayHit, which is aligned to 16 bytes
-_TFAR, _MASK, _NORMAL, _TRIANGLE, _STRUCTURE, _INSTANCE = 8, 9, 12, 17, 18, 19  # places in it
+#: The version of Embree whose structs are written here; another one may have other fields.
+MAJOR_VERSION = 4
+_VERSION_MAJOR = 1  # RTC_DEVICE_PROPERTY_VERSION_MAJOR
+_RAY = ("org_x", "org_y", "org_z", "tnear", "dir_x", "dir_y", "dir_z", "time", "tfar", "mask", "id", "flags")
+_HIT = ("Ng_x", "Ng_y", "Ng_z", "u", "v", "primID", "geomID", "instID")
+#: The fields of RTCRayHit (rtcore_ray.h) in their order, of four bytes each.
+RAY_HIT = (*_RAY, *_HIT)
+_FLOATS = 24  # those of RTCRayHit and what may follow: it is aligned to 16 bytes
+_TFAR = RAY_HIT.index("tfar")
+_MASK = RAY_HIT.index("mask")
+_ID = RAY_HIT.index("id")
+_FLAGS = RAY_HIT.index("flags")
+_NORMAL = RAY_HIT.index("Ng_x")
+_TRIANGLE = RAY_HIT.index("primID")
+_STRUCTURE = RAY_HIT.index("geomID")
+_INSTANCE = RAY_HIT.index("instID")
 _NONE = np.uint32(0xFFFFFFFF)
 _MET, _FIRST = 4, 5  # behind a query's context: how many surfaces a line has met, and where they begin
 _OF_ONE = 2  # numbers that are noted of a surface: distance and structure
@@ -32,6 +46,7 @@ _ROOM = 4096  # surfaces of a line, to begin with
 _POINTER, _WORD, _SIZE = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "rtcNewDevice": (_POINTER, (ctypes.c_char_p,)),
+    "rtcGetDeviceProperty": (ctypes.c_ssize_t, (_POINTER, ctypes.c_int)),
     "rtcNewScene": (_POINTER, (_POINTER,)),
     "rtcNewGeometry": (_POINTER, (_POINTER, ctypes.c_int)),
     "rtcSetSceneFlags": (None, (_POINTER, ctypes.c_int)),
@@ -46,14 +61,25 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 def _loaded() -> ctypes.CDLL:
-    """The library, known to compiled code; through embreex, whose module is linked with it, wherever it lies."""
+    """The library, known to compiled code; through embreex, whose module is linked with it, wherever it lies.
+
+    Raises ImportError where it is another version of Embree, whose functions and structs are not those written here.
+    """
     module = Path(rtcore_scene.__file__)
     # Windows looks for a function in one file only
     file = module if os.name != "nt" else next(module.parent.parent.glob("embreex*/**/*embree4*.dll"))
     library = ctypes.CDLL(str(file))
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
+    try:
+        for name, (result, arguments) in _SIGNATURES.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+    except AttributeError as missing:
+        raise ImportError(f"embreex brings a library without {name}: allowed is embreex>=4,<5") from missing
+    device = library.rtcNewDevice(None)
+    major = library.rtcGetDeviceProperty(device, _VERSION_MAJOR)
+    library.rtcReleaseDevice(device)
+    if major != MAJOR_VERSION:
+        raise ImportError(f"embreex brings Embree {major}: allowed is embreex>=4,<5")
     llvmlite.binding.add_symbol("rtcIntersect1", ctypes.cast(library.rtcIntersect1, _POINTER).value)
     return library
 
@@ -90,7 +116,7 @@ def _ask(asked: Asked, origin: Vector, direction: Vector, reach_mm: float) -> No
     numbers[0], numbers[1], numbers[2], numbers[3] = origin[0], origin[1], origin[2], 0.0
     numbers[4], numbers[5], numbers[6], numbers[7] = direction[0], direction[1], direction[2], 0.0
     numbers[_TFAR] = max(reach_mm, 0.0)
-    words[_MASK], words[10], words[11] = _NONE, np.uint32(0), np.uint32(0)
+    words[_MASK], words[_ID], words[_FLAGS] = _NONE, np.uint32(0), np.uint32(0)
     words[_TRIANGLE] = words[_STRUCTURE] = words[_INSTANCE] = _NONE
 
 

@@ -8,6 +8,7 @@ i // 32 for structure i; an owner is i + 1, and 0 is the background.
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,22 +17,21 @@ from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
 
 _ROWS_OF_A_PART = 64
-Places = tuple[float, float, np.ndarray, np.ndarray]  # the fields of `Samples` but their count
 Reach = tuple[np.ndarray, np.ndarray]  # how far before and how far beyond the starts n lines go, (n,) each, mm
 
 
 @compiled
-def toggle(inside: np.ndarray, structure: np.int32) -> None:
-    """Cross a surface: changes one set, (words,) uint32."""
-    inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
+def toggle(inside: np.ndarray, row: int, structure: np.int32) -> None:
+    """Cross a surface: changes one of the sets, (n, words) uint32."""
+    inside[row, structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
 
 
 @compiled
-def owner(inside: np.ndarray) -> int:
-    """1 + the last structure of a set, (words,) uint32; 0 where it is empty."""
-    for word in range(len(inside) - 1, -1, -1):
-        if inside[word]:
-            return 32 * word + highest(inside[word])
+def owner(inside: np.ndarray, row: int) -> int:
+    """1 + the last structure of one of the sets, (n, words) uint32; 0 where it is empty."""
+    for word in range(inside.shape[1] - 1, -1, -1):
+        if inside[row, word]:
+            return 32 * word + highest(inside[row, word])
     return 0
 
 
@@ -46,7 +46,7 @@ def owners(inside: np.ndarray) -> np.ndarray:
     """`owner` of each set of (n, words) uint32, (n,) int32."""
     owned_by = np.empty(len(inside), np.int32)
     for i in range(len(inside)):
-        owned_by[i] = owner(inside[i])
+        owned_by[i] = owner(inside, i)
     return owned_by
 
 
@@ -71,6 +71,15 @@ class Samples:
     stretch_of_owner: np.ndarray | None = None  # (structures + 1,) float32, displayed over geometric length
 
 
+class Places(NamedTuple):
+    """`Samples` as compiled code takes them, without their count."""
+
+    first_mm: float
+    spacing_mm: float
+    value_of_owner: np.ndarray
+    stretch_of_owner: np.ndarray
+
+
 def walk(
     geometry: Geometry, starts: np.ndarray, directions: np.ndarray, reach_mm: Reach, samples: Samples | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -83,7 +92,7 @@ def walk(
     n, owners, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
     samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
     stretch = np.ones(owners, np.float32) if samples.stretch_of_owner is None else samples.stretch_of_owner
-    places = samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch
+    places = Places(samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch)
     given = starts - back[:, None] * directions, directions, back + ahead
     lines = *(values.astype(np.float32, order="C") for values in given), back
     values = np.empty((n, samples.count), np.uint8)
@@ -104,29 +113,36 @@ def _follow(
     samples have their value.
     """
     origins, directions, lengths_mm, before_mm = lines
-    first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
-    inside, values, ranges_mm = rows
-    samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
+    inside, values, _ = rows
     asked, line = asked_ray(), asked_line(keep)
     for row in range(begin, end):
         met, line = all_of(address, asked, line, at(origins, row), at(directions, row), lengths_mm[row])
         distances, structures = surfaces_of(line, met)
-        last, displayed, filled = -before_mm[row], 0.0, 0
-        for number in range(met + 1):
-            here, distance, reached, ahead = owner(inside[row]), last, displayed, samples
-            if number < met:
-                if again(distances, structures, number, least_step_mm):
-                    continue
-                distance = distances[number] - before_mm[row]
-                reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
-                ahead = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
-                toggle(inside[row], structures[number])
-            values[row, filled:ahead] = value_of_owner[here]
-            if stretched:
-                for k in range(filled, ahead):
-                    beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
-                    ranges_mm[row, k] = max(last, 0.0) + beyond
-            last, displayed, filled = distance, reached, max(filled, ahead)
+        last_mm, displayed_mm, filled = -before_mm[row], 0.0, 0
+        for number in range(met):
+            if again(distances, structures, number, least_step_mm):
+                continue
+            distance_mm = distances[number] - before_mm[row]
+            reached_mm = max(distance_mm - max(last_mm, 0.0), 0.0) * places.stretch_of_owner[owner(inside, row)]
+            reached_mm += displayed_mm
+            ahead = math.ceil((reached_mm - places.first_mm) / places.spacing_mm)
+            ahead = min(max(ahead, 0), values.shape[1])
+            _fill(rows, row, filled, ahead, places, last_mm, displayed_mm)
+            toggle(inside, row, structures[number])
+            last_mm, displayed_mm, filled = distance_mm, reached_mm, max(filled, ahead)
+        _fill(rows, row, filled, values.shape[1], places, last_mm, displayed_mm)
+
+
+@compiled
+def _fill(rows: Arrays, row: int, begin: int, end: int, places: Places, surface_mm: float, displayed_mm: float) -> None:
+    """Fill some samples of a line with what it is inside of, behind a surface at two distances from its start."""
+    inside, values, ranges_mm = rows
+    here = owner(inside, row)
+    values[row, begin:end] = places.value_of_owner[here]
+    if ranges_mm.shape[1] > 0:
+        for k in range(begin, end):
+            beyond_mm = places.first_mm + k * places.spacing_mm - displayed_mm
+            ranges_mm[row, k] = max(surface_mm, 0.0) + beyond_mm / places.stretch_of_owner[here]
 
 
 @compiled

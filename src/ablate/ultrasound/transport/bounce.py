@@ -231,11 +231,19 @@ def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float)
 
 
 @compiled
+def reflects(pressure: float) -> bool:
+    """Whether a surface of this R_p sends a ray back at all."""
+    return abs(pressure) >= SMALLEST_REFLECTION
+
+
+@compiled
 def go_on(
-    ray: Ray, pressure: float, probability: float, choice: float, luck: float, faint_db: float, roulette_db: float
+    ray: Ray, pressure: float, choice: float, luck: float, faint_db: float, roulette_db: float
 ) -> tuple[float, float]:
     """Weights of the reflected and of the transmitted ray, 0 where there is none; choice and luck are random."""
     reflection, through = abs(pressure), 1 - pressure * pressure
+    # That a ray is reflected which is not split: then it keeps its weight, else 1 + |R_p| times that goes on.
+    probability = reflection if reflects(pressure) else 0.0
     if ray.reflections > 0 and probability > 0:
         if ray.growth >= SHARED_FROM_GROWTH:
             through = 1 - reflection

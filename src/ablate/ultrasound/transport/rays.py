@@ -74,19 +74,48 @@ def _mixed(key: np.uint64) -> np.uint64:
     return key ^ (key >> np.uint64(31))
 
 
+class Drawn(NamedTuple):
+    """Random numbers of a ray at an interface, float32 each."""
+
+    choice: float  # uniform
+    thickness: float  # size of a normal one
+    log_u: float  # logarithm of a uniform one
+    cos_azimuth: float  # of a uniform angle
+    sin_azimuth: float
+    survival: float  # uniform
+
+
 @compiled
-def unstratified(path_seed: np.uint64, interfaces: int, number: int, row: np.ndarray) -> np.ndarray:
-    """Draws of a ray, by its number, that has met more interfaces than the table serves: fills and returns `row`."""
+def tabulated(table: np.ndarray, row: int, number: int) -> Drawn:
+    """Draws of a ray, by its number, from a row of the table."""
+    return Drawn(
+        table[row, number, CHOICE],
+        table[row, number, THICKNESS],
+        table[row, number, LOG_U],
+        table[row, number, COS_AZIMUTH],
+        table[row, number, SIN_AZIMUTH],
+        table[row, number, SURVIVAL],
+    )
+
+
+@compiled
+def unstratified(path_seed: np.uint64, interfaces: int, number: int) -> Drawn:
+    """Draws of a ray, by its number, that has met more interfaces than the table serves."""
     key = _mixed(_mixed(path_seed) ^ (np.uint64(number) << np.uint64(32) | np.uint64(interfaces)))
+    u = np.empty(COLUMNS, np.float32)
     for column in range(COLUMNS):
         key = _mixed(key)
-        row[column] = np.float32(key >> np.uint64(40)) * np.float32(2.0**-24)
-    radius = math.sqrt(-2 * math.log(1 - row[THICKNESS]))
-    row[THICKNESS] = radius * abs(math.cos(2 * math.pi * row[SIN_AZIMUTH]))
-    azimuth = 2 * math.pi * row[COS_AZIMUTH]
-    row[COS_AZIMUTH], row[SIN_AZIMUTH] = math.cos(azimuth), math.sin(azimuth)
-    row[LOG_U] = math.log(max(row[LOG_U], 1e-30))
-    return row
+        u[column] = np.float32(key >> np.uint64(40)) * np.float32(2.0**-24)
+    radius = math.sqrt(-2 * math.log(1 - u[THICKNESS]))
+    azimuth = 2 * math.pi * u[COS_AZIMUTH]
+    return Drawn(
+        u[CHOICE],
+        np.float32(radius * abs(math.cos(2 * math.pi * u[SIN_AZIMUTH]))),
+        np.float32(math.log(max(u[LOG_U], 1e-30))),
+        np.float32(math.cos(azimuth)),
+        np.float32(math.sin(azimuth)),
+        u[SURVIVAL],
+    )
 
 
 class Draws:
@@ -131,6 +160,8 @@ class View(NamedTuple):
     tissue_of_owner: np.ndarray  # (structures + 1,) uint8
     elements: np.ndarray  # (groups, 3) float64, mm: where a scanline starts; a group is one scanline of one layer
     axes: np.ndarray  # (groups, 3) float64, unit vectors along the scanlines
+    origins: np.ndarray  # (groups * rays, 3) float32, mm: where the rays leave the probe
+    ways: np.ndarray  # (groups * rays, 3) float32, unit vectors: their straight ways from there
     rays: int  # of each group
     path_seed: np.uint64
     depth_mm: float  # of the image; echoes displayed deeper are not followed

@@ -10,24 +10,38 @@ haze. It is spread over many scanlines, so one traced ray on each of them is eno
 import math
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from scipy.special import xlogy
 
 from ablate.threads import in_parts, side_by_side
-from ablate.ultrasound.compiled import Arrays, compiled, exponential
+from ablate.ultrasound.compiled import Arrays, Vector, compiled, exponential, step
 from ablate.ultrasound.imaging.point_spread import axial_kernel, layer_weights
-from ablate.ultrasound.media import Media, RenderPlan
+from ablate.ultrasound.media import Media, Medium, RenderPlan, Surface
 from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, at, closest_of
-from ablate.ultrasound.surfaces.line_walk import inside_at, next_step, owner, toggle
+from ablate.ultrasound.surfaces.embree import Geometry, Hit, asked_ray, at
+from ablate.ultrasound.surfaces.line_walk import inside_at, owner, owners, toggle
 from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.aperture import Aperture
 from ablate.ultrasound.transport.lines import NODES, Nodes, clutter_lines, echo_lines, mean_level_db
+from ablate.ultrasound.transport.rays import Ray
+from ablate.ultrasound.transport.steps import (
+    direction_of,
+    goes_astray,
+    interface_of,
+    is_fresh,
+    length_ahead,
+    look_ahead,
+    medium_of,
+    move_up,
+    origin_of,
+    surface_of,
+)
 from ablate.ultrasound.transport.tracing import Tracer
 
 #: Levels that are 0 and 1 in the maps, dB: of an echo about white; of sound about tissue whose loss the gain makes up.
@@ -39,6 +53,24 @@ _NORMALS = 8  # of a rough surface, over which its echo and what it lets through
 _PATH_SEED = 2**63  # of the rays for haze, the same for every frame: other paths than those of an image
 _NEPER_PER_POWER_DB = math.log(10) / 10
 _MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
+
+#: A line under way: those fields of a RAY that `steps` needs, in double precision.
+LINE = np.dtype(
+    [
+        ("origin", np.float64, 3),
+        ("direction", np.float64, 3),
+        ("medium", np.int32),
+        ("path_mm", np.float64),
+        ("displayed_mm", np.float64),
+        ("loss_db", np.float64),
+        ("weight", np.float64),  # share of the power that surfaces have let through
+        ("structure", np.int32),
+        ("triangle", np.int32),
+        ("step_mm", np.float64),
+        ("reach_mm", np.float64),
+    ],
+    align=True,
+)
 
 
 class SurfaceMaps:
@@ -86,15 +118,25 @@ class SurfaceMaps:
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
         of_lines = *starts.shape[:2], -1
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
-        lines = starts, directions, inside_at(self._geometry, starts, directions)
-        made = np.zeros((len(starts), self._shape[0]), np.float32), np.zeros((len(starts), min(self._shape[0], NODES)))
-        geometry = self._geometry.address, self._geometry.step_mm
-        tables = self._plan.tissue_of_owner, self._normals
-        follow = partial(_follow, geometry, lines, self._plan.media, tables, self._depth_mm, made)
-        in_parts(follow, len(starts), _LINES_OF_A_PART)
-        mean_db = mean_level_db(made[1], 1, self._beam)
+        inside = inside_at(self._geometry, starts, directions)
+        lines = _start_lines(starts, directions, self._plan.tissue_of_owner[owners(inside)])
+        through = Following(
+            address=self._geometry.address,
+            step_mm=self._geometry.step_mm,
+            media=self._plan.media,
+            tissue_of_owner=self._plan.tissue_of_owner,
+            normals=self._normals,
+            depth_mm=self._depth_mm,
+            starts=starts,
+            straight=directions,
+            inside=inside,
+            amplitude=np.zeros((len(starts), self._shape[0]), np.float32),
+            sound=np.zeros((len(starts), min(self._shape[0], NODES))),
+        )
+        in_parts(partial(_follow, lines, through), len(starts), _LINES_OF_A_PART)
+        mean_db = mean_level_db(through.sound, 1, self._beam)
         _, level_db = self._aperture.gain_and_level_db(mean_db)
-        return made[0].reshape(of_lines), (mean_db.reshape(of_lines), level_db.reshape(of_lines))
+        return through.amplitude.reshape(of_lines), (mean_db.reshape(of_lines), level_db.reshape(of_lines))
 
     def _reverberation(self, pose: np.ndarray) -> np.ndarray:
         """Amplitudes of what surfaces reflect to one another, (scanlines, rows)."""
@@ -120,88 +162,146 @@ def _lattice() -> np.ndarray:
     return np.stack([log_u, np.cos(azimuth), np.sin(azimuth)], axis=-1)
 
 
-@compiled
-def _follow(
-    geometry: tuple[int, float],
-    lines: Arrays,
-    media: Media,
-    tables: Arrays,
-    depth_mm: float,
-    made: Arrays,
-    begin: int,
-    end: int,
-) -> None:
-    """Fill rows of some lines: the amplitudes of their surfaces, (lines, rows), and of the sound, (lines, nodes).
+def _start_lines(starts: np.ndarray, directions: np.ndarray, tissue: np.ndarray) -> np.ndarray:
+    """Lines at the probe, (n,) LINE: where they start, their directions, and the tissue that each starts in."""
+    lines = np.zeros(len(starts), LINE)
+    lines["origin"] = starts
+    lines["direction"] = directions
+    lines["medium"] = tissue
+    lines["weight"] = 1.0
+    lines["structure"] = lines["triangle"] = -1
+    return lines
 
-    Lines are where they start, their directions, and the structures that they start inside of.
-    """
-    (address, least_mm), (tissue_of_owner, normals), (amplitude, sound) = geometry, tables, made
-    starts, directions, sets = lines
-    rows, nodes, asked = amplitude.shape[1], sound.shape[1], asked_ray()
-    row_mm, node_mm = depth_mm / rows, depth_mm / nodes
+
+class Following(NamedTuple):
+    """What lines are followed through, and what is filled on the way; a tuple, so that compiled code can take it."""
+
+    address: int  # of the geometry
+    step_mm: float  # as in View
+    media: Media
+    tissue_of_owner: np.ndarray
+    normals: np.ndarray  # see `_lattice`
+    depth_mm: float  # of the image
+    starts: np.ndarray  # (lines, 3) float64, mm: the elements
+    straight: np.ndarray  # (lines, 3) float64, unit vectors along the scanlines
+    inside: np.ndarray  # (lines, words) uint32: the sets that lines are inside of, as they go
+    amplitude: np.ndarray  # (lines, rows) float32: of the echoes of surfaces
+    sound: np.ndarray  # (lines, nodes) float64: the power that is left
+
+
+@compiled
+def _follow(lines: np.ndarray, through: Following, begin: int, end: int) -> None:
+    """Follow some lines, (n,) LINE, until they are deeper than the image."""
+    embree, depth_mm = (through.address, asked_ray()), through.depth_mm
     for number in range(begin, end):
-        inside, start, straight = sets[number].copy(), at(starts, number), at(directions, number)
-        origin, direction, here = start, straight, tissue_of_owner[owner(inside)]
-        displayed, loss_db, weight, step_mm, filled = 0.0, 0.0, 1.0, 0.0, 0
-        structure = triangle = np.int32(-1)
-        while displayed < depth_mm and weight > 0:
-            stretch, loss_db_mm = float(media.stretch[here]), float(media.loss_db_mm[here])
-            reach_mm = (depth_mm - displayed) / stretch
-            hit = closest_of(address, asked, origin, direction, reach_mm)
-            length_mm = hit.distance_mm + step_mm if hit.structure >= 0 else math.inf
-            to_mm = hit.distance_mm if hit.structure >= 0 else reach_mm
-            # The gel around a body does not light its inside, see `tracing`.
-            heard = not (media.anechoic[here] and bounce.strays(origin, direction, to_mm, start, straight))
-            to_mm = min(displayed + length_mm * stretch, depth_mm)
-            ahead_db = loss_db_mm * ((filled + 0.5) * node_mm - displayed) / stretch
-            level = weight * 10 ** (-(loss_db + ahead_db) / 10) if heard else 0.0
-            factor = 10 ** (-loss_db_mm * node_mm / stretch / 10)
-            while filled < nodes and (filled + 0.5) * node_mm < to_mm:
-                sound[number, filled] = level
-                level, filled = level * factor, filled + 1
+        line, filled = lines[number], 0
+        start, straight = at(through.starts, number), at(through.straight, number)
+        while line.displayed_mm < depth_mm and line.weight > 0:
+            medium = medium_of(through.media, line.medium)
+            line.reach_mm = (depth_mm - line.displayed_mm) / medium.stretch
+            hit = look_ahead(embree, line)
+            heard = not (medium.anechoic and goes_astray(line, hit, start, straight))
+            to_mm = min(line.displayed_mm + length_ahead(line, hit) * medium.stretch, depth_mm)
+            filled = _insonify(through.sound, number, filled, line, medium, to_mm, depth_mm, heard)
             if hit.structure < 0:
                 break
-            fresh = hit.structure != structure or hit.triangle != triangle  # a plane is met only once
-            if fresh:
-                toggle(inside, hit.structure)
-            beyond = tissue_of_owner[owner(inside)]
-            point = bounce.along(origin, direction, hit.distance_mm)
-            displayed, loss_db = displayed + length_mm * stretch, loss_db + length_mm * loss_db_mm
-            step_mm = next_step(step_mm, fresh and hit.distance_mm > step_mm, least_mm)
-            structure, triangle = hit.structure, hit.triangle
-            if media.differs[here, beyond]:
-                speeds = float(media.speed_m_s[here]), float(media.speed_m_s[beyond])
-                impedances = float(media.impedance_mrayl[here]), float(media.impedance_mrayl[beyond])
-                faces = bounce.Interface(speeds[0], speeds[1], impedances[0], impedances[1], media.refracts)
-                surface = tissue_of_owner[hit.structure + 1]
-                exponent, specularity = float(media.lobe_exponent[surface]), float(media.specularity[surface])
+            point = bounce.along(origin_of(line), direction_of(line), hit.distance_mm)
+            onward = direction_of(line)
+            if is_fresh(line, hit):
+                toggle(through.inside, number, hit.structure)
+            step_mm = move_up(line, hit, medium, through.step_mm)
+            beyond = through.tissue_of_owner[owner(through.inside, number)]
+            if through.media.differs[line.medium, beyond]:
+                surface = surface_of(through.media, through.tissue_of_owner[hit.structure + 1])
+                interface = interface_of(through.media, line.medium, beyond)
                 to_element = start[0] - point[0], start[1] - point[1], start[2] - point[2]
-                distance_mm = max(math.sqrt(bounce.dot(to_element, to_element)), 1e-6)
-                returned, passed, onward = 0.0, 0.0, (0.0, 0.0, 0.0)
-                count = len(normals) if exponent > 0 else 1
-                for k in range(count):
-                    drawn = normals[k, 0], normals[k, 1], normals[k, 2]
-                    scattering = bounce.sample_scattering(direction, hit.normal, faces, exponent, drawn, media.rough)
-                    towards = bounce.dot(scattering.reflected, to_element) / distance_mm
-                    if specularity == 0:
-                        returned += abs(scattering.pressure)
-                    elif towards > 0:
-                        returned += abs(scattering.pressure) * math.exp(specularity * math.log(towards))
-                    through = 1 - scattering.pressure * scattering.pressure
-                    passed += through
-                    onward = bounce.along(onward, scattering.transmitted, through)
-                row = (displayed + _MEAN_DEPTH * media.thickness_mm[surface] * stretch) / row_mm - 0.5
-                if row < rows and bounce.aside(point, start, straight) < bounce.IN_BEAM_MM**2:
-                    at_row = min(max(int(row), 0), rows - 1)
-                    beside, part = min(at_row + 1, rows - 1), min(max(row - at_row, 0.0), 1.0)
-                    echo = weight * returned / count * 10 ** (-loss_db / 10)
-                    amplitude[number, at_row] += (1 - part) * echo
-                    amplitude[number, beside] += part * echo
-                weight *= passed / count
-                length = math.sqrt(bounce.dot(onward, onward))
-                if length > 0:
-                    direction = onward[0] / length, onward[1] / length, onward[2] / length
-            origin, here = bounce.along(point, direction, step_mm), beyond
+                scattered = _scatter(onward, hit, interface, surface, to_element, through.normals, through.media.rough)
+                if bounce.aside(point, start, straight) < bounce.IN_BEAM_MM**2:
+                    echo_mm = line.displayed_mm + _MEAN_DEPTH * surface.thickness_mm * medium.stretch
+                    echo = line.weight * scattered.returned / scattered.normals * 10 ** (-line.loss_db / 10)
+                    _add_echo(through.amplitude, number, echo_mm, depth_mm, echo)
+                line.weight *= scattered.passed / scattered.normals
+                onward = scattered.onward
+            line.origin[0], line.origin[1], line.origin[2] = bounce.along(point, onward, step_mm)
+            line.direction[0], line.direction[1], line.direction[2] = onward
+            line.medium = beyond
+
+
+@step
+def _insonify(
+    sound: np.ndarray,
+    number: int,
+    filled: int,
+    line: Ray,
+    medium: Medium,
+    to_mm: float,
+    depth_mm: float,
+    heard: bool,
+) -> int:
+    """Fill the nodes of a line up to a displayed depth, from the first that is not yet filled; returns the next one."""
+    nodes = sound.shape[1]
+    node_mm = depth_mm / nodes
+    ahead_db = medium.loss_db_mm * ((filled + 0.5) * node_mm - line.displayed_mm) / medium.stretch
+    level = line.weight * 10 ** (-(line.loss_db + ahead_db) / 10) if heard else 0.0
+    factor = 10 ** (-medium.loss_db_mm * node_mm / medium.stretch / 10)
+    while filled < nodes and (filled + 0.5) * node_mm < to_mm:
+        sound[number, filled] = level
+        level *= factor
+        filled += 1
+    return filled
+
+
+class Scattered(NamedTuple):
+    """What a surface does, the sum over its normals: what it returns to the element, and what it lets through."""
+
+    returned: float
+    passed: float
+    normals: int
+    onward: Vector  # the mean direction of what it lets through
+
+
+@step
+def _scatter(
+    direction: Vector,
+    hit: Hit,
+    interface: bounce.Interface,
+    surface: Surface,
+    to_element: Vector,
+    normals: np.ndarray,
+    rough: bool,
+) -> Scattered:
+    """Scatter at a surface about each of its normals."""
+    exponent, specularity = float(surface.lobe_exponent), float(surface.specularity)
+    distance_mm = max(math.sqrt(bounce.dot(to_element, to_element)), 1e-6)
+    returned, passed, onward = 0.0, 0.0, (0.0, 0.0, 0.0)
+    count = len(normals) if exponent > 0 else 1
+    for k in range(count):
+        tilt = normals[k, 0], normals[k, 1], normals[k, 2]
+        scattering = bounce.sample_scattering(direction, hit.normal, interface, exponent, tilt, rough)
+        towards = bounce.dot(scattering.reflected, to_element) / distance_mm
+        if specularity == 0:
+            returned += abs(scattering.pressure)
+        elif towards > 0:
+            returned += abs(scattering.pressure) * math.exp(specularity * math.log(towards))
+        through = 1 - scattering.pressure * scattering.pressure
+        passed += through
+        onward = bounce.along(onward, scattering.transmitted, through)
+    length = math.sqrt(bounce.dot(onward, onward))
+    if length > 0:
+        return Scattered(returned, passed, count, (onward[0] / length, onward[1] / length, onward[2] / length))
+    return Scattered(returned, passed, count, direction)
+
+
+@step
+def _add_echo(amplitude: np.ndarray, number: int, at_mm: float, depth_mm: float, echo: float) -> None:
+    """Share an echo between the two rows of a line on either side of its displayed depth."""
+    rows = amplitude.shape[1]
+    place = at_mm / (depth_mm / rows) - 0.5
+    if place < rows:
+        before = min(max(int(place), 0), rows - 1)
+        part = min(max(place - before, 0.0), 1.0)
+        amplitude[number, before] += (1 - part) * echo
+        amplitude[number, min(before + 1, rows - 1)] += part * echo
 
 
 @compiled
@@ -213,7 +313,8 @@ def _show(
     Gains, (2, rows), are those of echoes, whose white is 0 dB, and of sound.
     """
     (pencils_db, all_db), (interfaces, illumination) = levels_db, made
-    (layers, lines, rows), nodes = direct.shape, pencils_db.shape[2]
+    layers, _, rows = direct.shape
+    nodes = pencils_db.shape[2]
     place = np.minimum(np.maximum((np.arange(rows) + 0.5) * (nodes / rows) - 0.5, 0), nodes - 1)
     before = np.minimum(place.astype(np.int64), max(nodes - 2, 0))
     part, after = place - before, np.minimum(before + 1, nodes - 1)
@@ -222,23 +323,43 @@ def _show(
         echo, light, more_db = np.square(haze[line]), np.zeros(nodes), np.empty(nodes)
         for layer in range(layers):
             # The mean over elements is no more than what the best of them brings, which interpolation in depth forgets.
-            best = pencils_db[layer, line].copy()
-            for beside in range(max(line - _LINES_BESIDE // 2, 0), min(line + _LINES_BESIDE // 2 + 1, lines)):
-                for node in range(nodes):
-                    one, two = best[node], pencils_db[layer, beside, node]
-                    best[node] = one if one > two else two
+            best = _largest_beside(pencils_db[layer], line)
             for node in range(nodes):
                 level_db = min(all_db[layer, line, node], best[node])
                 light[node] += exponential(level_db * _NEPER_PER_POWER_DB) / layers
                 more_db[node] = min(level_db - pencils_db[layer, line, node], _MOST_MORE_DB)
             for row in range(rows):
                 if direct[layer, line, row] > 0:
-                    gain_db = more_db[before[row]] + part[row] * (more_db[after[row]] - more_db[before[row]])
+                    gain_db = _between(more_db, before[row], after[row], part[row])
                     echo[row] += direct[layer, line, row] ** 2 * exponential(gain_db * _NEPER_PER_POWER_DB) / layers
         light_db = 10 * np.log10(np.maximum(light, 1e-30))
         for row in range(rows):
-            level_db = light_db[before[row]] + part[row] * (light_db[after[row]] - light_db[before[row]])
-            share = (level_db + gains_db[1, row] - LIGHT_DB[0]) / (LIGHT_DB[1] - LIGHT_DB[0])
-            illumination[line, row] = min(max(share, 0.0), 1.0)
-            echo_db = ECHO_DB[0] if echo[row] <= least[row] else 10 * math.log10(echo[row]) + gains_db[0, row]
-            interfaces[line, row] = min((echo_db - ECHO_DB[0]) / (ECHO_DB[1] - ECHO_DB[0]), 1.0)
+            level_db = _between(light_db, before[row], after[row], part[row]) + gains_db[1, row]
+            illumination[line, row] = _scaled(level_db, LIGHT_DB)
+            level_db = ECHO_DB[0] if echo[row] <= least[row] else 10 * math.log10(echo[row]) + gains_db[0, row]
+            interfaces[line, row] = _scaled(level_db, ECHO_DB)
+
+
+@step
+def _between(values: np.ndarray, before: int, after: int, part: float) -> float:
+    """Interpolate between two values, `part` of the way."""
+    return values[before] + part * (values[after] - values[before])
+
+
+@step
+def _scaled(level_db: float, zero_and_one_db: tuple[float, float]) -> float:
+    """A level on a scale from 0 to 1, and the nearest of both beyond."""
+    zero_db, one_db = zero_and_one_db
+    return min(max((level_db - zero_db) / (one_db - zero_db), 0.0), 1.0)
+
+
+@compiled
+def _largest_beside(levels_db: np.ndarray, line: int) -> np.ndarray:
+    """The largest level of a scanline and of those beside it at each node, of (scanlines, nodes)."""
+    lines, nodes = levels_db.shape
+    best = levels_db[line].copy()
+    for beside in range(max(line - _LINES_BESIDE // 2, 0), min(line + _LINES_BESIDE // 2 + 1, lines)):
+        for node in range(nodes):
+            one, two = best[node], levels_db[beside, node]
+            best[node] = one if one > two else two
+    return best

@@ -16,38 +16,48 @@ have the weight 1 / |R_p|, and would appear as isolated dots in dark fluid. Russ
 """
 
 import math
-from typing import cast
+from typing import Any
 
 import numpy as np
 
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.compiled import Arrays, Vector, compiled, step
 from ablate.ultrasound.media import Medium, RenderPlan
 from ablate.ultrasound.probe import sample_depths_mm
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Asked, Geometry, asked_ray, at, closest_of
-from ablate.ultrasound.surfaces.line_walk import highest, next_step
+from ablate.ultrasound.surfaces.embree import Asked, Geometry, asked_ray, at
+from ablate.ultrasound.surfaces.line_walk import owner, toggle
 from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.lines import ECHO, Nodes, passed
 from ablate.ultrasound.transport.rays import (
-    CHOICE,
-    COLUMNS,
-    COS_AZIMUTH,
-    LOG_U,
     MAX_ROWS,
-    SIN_AZIMUTH,
-    SURVIVAL,
-    THICKNESS,
     Bundle,
+    Drawn,
     Draws,
+    Ray,
     View,
     at_pose,
     probe_rays,
     start_rays,
+    tabulated,
     unstratified,
 )
+from ablate.ultrasound.transport.steps import (
+    direction_of,
+    goes_astray,
+    interface_of,
+    is_fresh,
+    length_ahead,
+    look_ahead,
+    medium_of,
+    move_up,
+    origin_of,
+    surface_of,
+)
+
+Echo = Any  # a row of an array of ECHO, as compiled code takes it
 
 _GROUPS_OF_A_PART = 48
 
@@ -77,6 +87,8 @@ class Tracer:
             tissue_of_owner=self._plan.tissue_of_owner,
             elements=bundle.starts,
             axes=bundle.directions,
+            origins=bundle.origins,
+            ways=bundle.ray_directions,
             rays=self._settings.rays,
             path_seed=self._draws.seed,
             depth_mm=self._depth_mm,
@@ -89,16 +101,35 @@ class Tracer:
 
 @stage(Stage.tracing)
 def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: Nodes) -> np.ndarray:
-    """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated."""
-    ways = bundle.origins, bundle.ray_directions
+    """Trace the rays of a frame until they are deeper than the image.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The triangles.
+    view : View
+        What the rays travel through, and what receives their echoes.
+    draws : Draws
+        Random numbers of all rays.
+    bundle : Bundle
+        The rays at a pose.
+    nodes : Nodes
+        What insonifies the scanlines; the rays' amplitudes are added to it.
+
+    Returns
+    -------
+    (n,) ECHO
+        The echoes, part by part.
+    """
 
     def part(begin: int, end: int) -> np.ndarray:
         chosen = slice(begin * view.rays, end * view.rays)
-        rays, rows, count = start_rays(bundle, chosen, view), 0, 0
-        n, arrays = len(rays), cast(Arrays, (rays, bundle.inside[chosen].copy(), np.empty(4 * len(rays), ECHO)))
+        rays = start_rays(bundle, chosen, view)
+        arrays: Arrays = (rays, bundle.inside[chosen].copy(), np.empty(4 * len(rays), ECHO))
+        n, rows, count = len(rays), 0, 0
         while n:  # comes back for more of the table of draws
             table, rows = draws.table(rows + 1)
-            arrays, n, count = _bounces(geometry.address, arrays, n, count, view, ways, table, rows, nodes)
+            arrays, n, count = _bounces(geometry.address, arrays, n, count, view, table, rows, nodes)
         return arrays[2][:count]
 
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
@@ -106,29 +137,22 @@ def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: N
 
 @compiled
 def _bounces(
-    address: int,
-    arrays: Arrays,
-    n: int,
-    received: int,
-    view: View,
-    ways: Arrays,
-    table: np.ndarray,
-    rows: int,
-    nodes: Nodes,
+    address: int, arrays: Arrays, n: int, received: int, view: View, table: np.ndarray, rows: int, nodes: Nodes
 ) -> tuple[Arrays, int, int]:
     """Advance rays until none is left, or until one has met as many interfaces as the table has `rows`.
 
     The arrays are rays, the sets that they are inside of, and echoes. Returns them, which grow where they are too
-    small, with the numbers of rays and of echoes. Ways are origins and directions at the probe, (rays, 3).
+    small, with the numbers of rays and of echoes.
     """
-    asked, (rays, inside, echoes) = asked_ray(), arrays
+    rays, inside, echoes = arrays
+    embree = address, asked_ray()
     while n > 0:
         if rows < MAX_ROWS:
             for i in range(n):
                 if rays[i].interfaces >= rows:
                     return (rays, inside, echoes), n, received
         rays, inside, echoes = _grown(rays, 2 * n), _grown(inside, 2 * n), _grown(echoes, received + n)
-        n, count = _advance(address, asked, (rays, inside, echoes[received:]), n, view, ways, table, nodes)
+        n, count = _advance(embree, rays, inside, echoes[received:], n, view, table, nodes)
         received += count
     return (rays, inside, echoes), n, received
 
@@ -143,135 +167,169 @@ def _grown(rows: np.ndarray, count: int) -> np.ndarray:
 
 @compiled
 def _advance(
-    address: int, asked: Asked, arrays: Arrays, n: int, view: View, ways: Arrays, table: np.ndarray, nodes: Nodes
+    embree: tuple[int, Asked],
+    rays: np.ndarray,
+    inside: np.ndarray,
+    echoes: np.ndarray,
+    n: int,
+    view: View,
+    table: np.ndarray,
+    nodes: Nodes,
 ) -> tuple[int, int]:
     """Advance n rays to the surfaces that they hit: one bounce of the path tracer.
 
     Reflected rays are written behind all rays at first, because transmitted rays take the rows from 0. Returns how many
     rays there are then, and how many echoes were written.
     """
-    (rays, inside, echoes), (origins, directions) = arrays, ways
-    # arrays by name and element: no part of an array is made for a ray, see `bounce`
-    speed, impedance, specular, thickness, loss, lobe, stretches, silent, differs, refracts, rough, thick = view.media
-    elements, axes, tissue_of_owner, of_group = view.elements, view.axes, view.tissue_of_owner, view.rays
-    at_mm, apart_mm, empty, amplitudes = nodes
-    words, count = inside.shape[1], amplitudes.shape[1]
-    drawn = np.empty(COLUMNS, np.float32)
     transmitted, reflected, received = 0, n, 0
     for i in range(n):
         ray = rays[i]
-        origin = float(ray.origin[0]), float(ray.origin[1]), float(ray.origin[2])
-        direction = float(ray.direction[0]), float(ray.direction[1]), float(ray.direction[2])
-        hit = closest_of(address, asked, origin, direction, ray.reach_mm)
-        group, direct, tissue, weight = ray.number // of_group, ray.reflections == 0, ray.medium, ray.weight
-        medium = Medium(float(loss[tissue]), float(stretches[tissue]), silent[tissue])
-        # Bone bends rays out of the body. Such a ray loses nothing in the anechoic background and would fill the shadow
-        # behind the bone, so it insonifies no scanline there that is in the body.
-        astray = direct and medium.anechoic
-        if astray:
-            to_mm = hit.distance_mm if hit.structure >= 0 else ray.reach_mm
-            astray = bounce.strays(origin, direction, to_mm, at(origins, ray.number), at(directions, ray.number))
-        if direct:  # up to the surface, or to the end of the image
-            ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
-            first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, ahead_mm, weight)
-            for k in range(first, last):
-                if not astray or empty[group, k]:
-                    amplitudes[group, k] += level
-                level *= factor
+        hit = look_ahead(embree, ray)
+        medium = medium_of(view.media, ray.medium)
+        astray = False
+        if ray.reflections == 0:
+            astray = medium.anechoic and goes_astray(ray, hit, at(view.origins, ray.number), at(view.ways, ray.number))
+            _insonify(nodes, view, ray, medium, length_ahead(ray, hit) * medium.stretch, ray.weight, astray)
         if hit.structure < 0:
             continue
-        fresh = hit.structure != ray.structure or hit.triangle != ray.triangle  # a plane is met only once
-        beyond = tissue
-        if fresh:
-            inside[i, hit.structure >> 5] ^= np.uint32(1) << np.uint32(hit.structure & 31)
-            owned_by = 0
-            for word in range(words):
-                if inside[i, word]:
-                    owned_by = 32 * word + highest(inside[i, word])
-            beyond = tissue_of_owner[owned_by]
-        step_mm = next_step(ray.step_mm, fresh and hit.distance_mm > ray.step_mm, view.step_mm)
-        point = bounce.along(origin, direction, hit.distance_mm)
-        length_mm = hit.distance_mm + ray.step_mm
-        ray.path_mm += length_mm
-        ray.displayed_mm += length_mm * medium.stretch
-        ray.loss_db += length_mm * medium.loss_db_mm
-        ray.structure, ray.triangle, ray.step_mm = hit.structure, hit.triangle, step_mm
-
-        if differs[tissue, beyond]:
-            if ray.interfaces < MAX_ROWS:
-                for column in range(COLUMNS):
-                    drawn[column] = table[ray.interfaces, ray.number, column]
-            else:
-                unstratified(view.path_seed, ray.interfaces, ray.number, drawn)
-            tilt = drawn[LOG_U], drawn[COS_AZIMUTH], drawn[SIN_AZIMUTH]
-            surface = tissue_of_owner[hit.structure + 1]
-            sides = float(speed[tissue]), float(speed[beyond]), float(impedance[tissue]), float(impedance[beyond])
-            interface = bounce.Interface(sides[0], sides[1], sides[2], sides[3], refracts)
-            scattering = bounce.sample_scattering(direction, hit.normal, interface, lobe[surface], tilt, rough)
-            thickness_mm = float(drawn[THICKNESS]) * thickness[surface] if thick else 0.0
-
-            if direct:  # off its own straight way
-                aside_mm2 = bounce.aside(point, at(origins, ray.number), at(directions, ray.number))
-            else:  # off its scanline
-                aside_mm2 = bounce.aside(point, at(elements, group), at(axes, group))
-            link = bounce.connect(ray, point, medium, thickness_mm, at(elements, group), aside_mm2)
-            depth_mm = link.depth_mm + thickness_mm * medium.stretch
-            if depth_mm < view.depth_mm:
-                amplitude = bounce.echo(ray, scattering, link, specular[surface])
-                if amplitude > 0:
-                    received_echo = echoes[received]
-                    received_echo.group, received_echo.depth_mm = group, depth_mm
-                    received_echo.amplitude, received_echo.clutter = amplitude, not link.sharp
-                    received += 1
+        point = bounce.along(origin_of(ray), direction_of(ray), hit.distance_mm)
+        onward = direction_of(ray)
+        if is_fresh(ray, hit):
+            toggle(inside, i, hit.structure)
+        step_mm = move_up(ray, hit, medium, view.step_mm)
+        beyond = view.tissue_of_owner[owner(inside, i)]
+        if view.media.differs[ray.medium, beyond]:
+            drawn = tabulated(table, min(ray.interfaces, MAX_ROWS - 1), ray.number)
+            if ray.interfaces >= MAX_ROWS:
+                drawn = unstratified(view.path_seed, ray.interfaces, ray.number)
+            surface = surface_of(view.media, view.tissue_of_owner[hit.structure + 1])
+            scattering = bounce.sample_scattering(
+                onward,
+                hit.normal,
+                interface_of(view.media, ray.medium, beyond),
+                surface.lobe_exponent,
+                (drawn.log_u, drawn.cos_azimuth, drawn.sin_azimuth),
+                view.media.rough,
+            )
+            thickness_mm = np.float64(drawn.thickness * surface.thickness_mm)  # both float32
+            link = _connect(ray, point, medium, thickness_mm, view)
+            received += _receive(
+                echoes[received], ray, scattering, link, thickness_mm * medium.stretch, surface.specularity, view
+            )
             if link.depth_mm >= view.depth_mm:
                 continue
-
             ray.interfaces += 1
-            # That a ray is reflected which is not split: then it keeps its weight, else 1 + |R_p| times that goes on.
-            probability = abs(scattering.pressure) if abs(scattering.pressure) >= bounce.SMALLEST_REFLECTION else 0.0
-            if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
-                energy = scattering.pressure * scattering.pressure
-                first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, apart_mm, weight * energy)
-                for k in range(first, last):
-                    if not astray or empty[group, k]:
-                        amplitudes[group, k] += level
-                    level *= factor
-            faint_db = 0.0  # not read where a direct ray is transmitted alone
-            if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
-                # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
-                ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
-                faint_db = link.two_way_db + ahead_db / 2 + min(link.aside_db, bounce.MOST_ASIDE_DB)
-            back_weight, weight = bounce.go_on(
-                ray, scattering.pressure, probability, drawn[CHOICE], drawn[SURVIVAL], faint_db, view.roulette_db
-            )
+            if ray.reflections == 0 and bounce.reflects(scattering.pressure):
+                # the level is interpolated between nodes: keep it up to the surface
+                weight = ray.weight * (scattering.pressure * scattering.pressure)
+                _insonify(nodes, view, ray, medium, nodes.spacing_mm, weight, astray)
+            back_weight, ray.weight = _share(ray, scattering, link, view, drawn)
             if back_weight > 0:
-                rays[reflected] = ray
-                for word in range(words):
-                    inside[reflected, word] = inside[i, word]
-                inside[reflected, hit.structure >> 5] ^= np.uint32(1) << np.uint32(hit.structure & 31)
-                child, back = rays[reflected], scattering.reflected
-                child.reflections += 1
-                child.path_mm += 2 * thickness_mm  # there and back
-                child.displayed_mm += 2 * thickness_mm * medium.stretch
-                child.loss_db += 2 * thickness_mm * medium.loss_db_mm
-                leaves_mm = bounce.leaves(point, back, at(elements, group), at(axes, group))
-                start = bounce.along(point, back, step_mm)
-                bounce.spawn(child, start, back, back_weight, view.depth_mm, medium.stretch, leaves_mm)
+                _copy(rays, inside, i, reflected)
+                toggle(inside, reflected, hit.structure)
+                _turn_back(rays[reflected], medium, thickness_mm)
+                _send_off(rays[reflected], point, scattering.reflected, back_weight, step_mm, medium.stretch, view)
                 reflected += 1
-            direction = scattering.transmitted
-        if weight > 0:
-            rays[transmitted] = ray
-            for word in range(words):
-                inside[transmitted, word] = inside[i, word]
-            child, stretch = rays[transmitted], float(stretches[beyond])
-            child.medium = beyond
-            leaves_mm = math.inf if direct else bounce.leaves(point, direction, at(elements, group), at(axes, group))
-            start = bounce.along(point, direction, step_mm)
-            bounce.spawn(child, start, direction, weight, view.depth_mm, stretch, leaves_mm)
+            onward = scattering.transmitted
+        if ray.weight > 0:
+            _copy(rays, inside, i, transmitted)
+            rays[transmitted].medium = beyond
+            stretch = view.media.stretch[beyond]
+            _send_off(rays[transmitted], point, onward, ray.weight, step_mm, float(stretch), view)
             transmitted += 1
     for i in range(n, reflected):
-        rays[transmitted] = rays[i]
-        for word in range(words):
-            inside[transmitted, word] = inside[i, word]
+        _copy(rays, inside, i, transmitted)
         transmitted += 1
     return transmitted, received
+
+
+@step
+def _insonify(
+    nodes: Nodes, view: View, ray: Ray, medium: Medium, length_mm: float, weight: float, astray: bool
+) -> None:
+    """Add a ray's amplitude to the nodes on a displayed length of its way; astray, only to those without tissue."""
+    group, count = ray.number // view.rays, nodes.amplitude.shape[1]
+    first, last, level, factor = passed(nodes.first_mm, nodes.spacing_mm, count, ray, medium, length_mm, weight)
+    for k in range(first, last):
+        if not astray or nodes.anechoic[group, k]:
+            nodes.amplitude[group, k] += level
+        level *= factor
+
+
+@step
+def _connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, view: View) -> bounce.Connection:
+    """The way from a surface back to the ray's element."""
+    group = ray.number // view.rays
+    if ray.reflections == 0:  # off its own straight way
+        aside_mm2 = bounce.aside(point, at(view.origins, ray.number), at(view.ways, ray.number))
+    else:  # off its scanline
+        aside_mm2 = bounce.aside(point, at(view.elements, group), at(view.axes, group))
+    return bounce.connect(ray, point, medium, thickness_mm, at(view.elements, group), aside_mm2)
+
+
+@step
+def _receive(
+    echo: Echo,
+    ray: Ray,
+    scattering: bounce.Scattering,
+    link: bounce.Connection,
+    deeper_mm: float,
+    specularity: float,
+    view: View,
+) -> int:
+    """How many echoes of a surface the element receives, `deeper_mm` behind it as displayed: fills `echo`, or not."""
+    depth_mm = link.depth_mm + deeper_mm
+    if depth_mm >= view.depth_mm:
+        return 0
+    amplitude = bounce.echo(ray, scattering, link, specularity)
+    if amplitude <= 0:
+        return 0
+    echo.group = ray.number // view.rays
+    echo.depth_mm = depth_mm
+    echo.amplitude = amplitude
+    echo.clutter = not link.sharp
+    return 1
+
+
+@step
+def _share(
+    ray: Ray, scattering: bounce.Scattering, link: bounce.Connection, view: View, drawn: Drawn
+) -> tuple[float, float]:
+    """Weights of what a surface sends back and of what it lets through, after Russian roulette."""
+    faint_db = 0.0  # not read where a direct ray is transmitted alone
+    if ray.reflections > 0 or bounce.reflects(scattering.pressure):
+        # How much fainter than its weight: loss, direction, half the gain ahead. What the time gain adds up to the end
+        # of the image makes up for loss in tissue, not in fluid.
+        ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
+        faint_db = link.two_way_db + ahead_db / 2 + min(link.aside_db, bounce.MOST_ASIDE_DB)
+    return bounce.go_on(ray, scattering.pressure, drawn.choice, drawn.survival, faint_db, view.roulette_db)
+
+
+@step
+def _copy(rays: np.ndarray, inside: np.ndarray, row: int, to: int) -> None:
+    """Write a ray and its set to another row, too."""
+    rays[to] = rays[row]
+    for word in range(inside.shape[1]):
+        inside[to, word] = inside[row, word]
+
+
+@step
+def _turn_back(ray: Ray, medium: Medium, thickness_mm: float) -> None:
+    """Reflect a ray from behind its surface: there and back."""
+    ray.reflections += 1
+    ray.path_mm += 2 * thickness_mm
+    ray.displayed_mm += 2 * thickness_mm * medium.stretch
+    ray.loss_db += 2 * thickness_mm * medium.loss_db_mm
+
+
+@step
+def _send_off(
+    ray: Ray, point: Vector, direction: Vector, weight: float, step_mm: float, stretch: float, view: View
+) -> None:
+    """Let a ray leave a surface; one that was reflected ends where it leaves the cylinder about its scanline."""
+    leaves_mm = math.inf
+    if ray.reflections > 0:
+        group = ray.number // view.rays
+        leaves_mm = bounce.leaves(point, direction, at(view.elements, group), at(view.axes, group))
+    start = bounce.along(point, direction, step_mm)
+    bounce.spawn(ray, start, direction, weight, view.depth_mm, stretch, leaves_mm)
