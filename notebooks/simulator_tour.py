@@ -31,7 +31,6 @@ from ablate.analysis.figures.body_view import draw_body
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import bounds_mm
 from ablate.dataset import Part
-from ablate.settings.study import SceneKind
 from ablate.sources.source import source_of
 from ablate.study.opened import found_study
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
@@ -48,10 +47,11 @@ from ablate.ultrasound.transport.tracing import _grown as grown
 
 study = found_study()
 run = study.usable.runs[0]  # scene, probe and simulator are the same for all
-if run.settings.scene.kind is SceneKind.pairs:
+source = source_of(run.training.settings)
+if not source.has_scene:
     raise SystemExit("The pairs of this study were made elsewhere: it has no scene. Run `make sweep`.")
-scene, grid = source_of(run.training.settings).scene()
-pairs, probe, settings = run.data_set.pairs, run.settings.probe, SimulatorSettings()
+scene, grid = source.scene()
+pairs, probe, settings = run.training.data_set.pairs, run.training.settings.probe, SimulatorSettings()
 tests = pairs.frames(Part.test)
 variety = [len(np.unique(labels)) for labels in pairs.read("segmentation", tests)]
 frame = int(tests[int(np.argmax(variety))])  # the test frame that shows most tissues

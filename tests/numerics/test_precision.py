@@ -13,8 +13,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from ablate.runs.train import run_job
-from ablate.tracking import default_uri
 from mlflow import MlflowClient
 
 from ablate.command.compose import jobs_of
@@ -25,9 +23,11 @@ from ablate.networks.spec import OF_SURFACES
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
+from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError
 from ablate.sources.source import source_of
 from ablate.storage import digest
+from ablate.study.work import do
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
 from support.studies import run as run_command
@@ -55,7 +55,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
     """A finished run, one of other pairs, one without its weights, and the outcome of the task beside them."""
     runs = tmp_path_factory.mktemp("runs")
     (job,) = jobs_of([f"runs_dir={runs}", *TINY])
-    run_job(job)
+    do(job)
     elsewhere = runs / "elsewhere" / job.label / "seed0"
     shutil.copytree(job.folder, elsewhere)
     spec = json.loads((elsewhere / "spec.json").read_text())

@@ -176,7 +176,7 @@ def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_he
 
     before = read_list(asked.folder)
     settings = jobs[0].settings
-    named = {job.settings.model.target for job in jobs} - {None}
+    named = {job.settings.model.target for job in jobs if job.settings.model.target}
     compared = compare_study(asked, settings.study, rebuild, time_here, named)
     where = publish_study(settings, compared.study, compared.notes)
     print(f"{on_screen(compared)}\nMLflow         {where}")
