@@ -17,7 +17,7 @@ from ablate.command.compose import jobs_of
 from ablate.command.launch import VISIBLE, Launch, devices_to_share, start_here
 from ablate.settings.study import ConfigurationError, Task
 from ablate.study.job import Job
-from ablate.tasks import command
+from ablate.tasks import entry
 from ablate.tasks.entry import execute
 from ablate.training import DivergenceError
 
@@ -33,7 +33,7 @@ def launched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., i
             launch.start(jobs[skip:], work)
             return 0
 
-        monkeypatch.setattr(command, "_do", do)
+        monkeypatch.setattr(entry, "_do", do)
         return execute([*arguments, f"runs_dir={tmp_path / 'runs'}"])
 
     return call

@@ -10,7 +10,7 @@ from ablate.command.compose import jobs_of
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.sources.simulated import about_simulated
+from ablate.sources.source import source_of
 from ablate.ultrasound import ConvexProbe, LinearProbe, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 
@@ -25,7 +25,7 @@ def composed(*arguments: str) -> StudySettings:
 def test_a_probe_is_known_by_its_kind_and_its_values() -> None:
     with_default, named = composed(), composed("probe=convex")
     assert with_default == named
-    probe: dict[str, Any] = about_simulated(named)["probe"]
+    probe: dict[str, Any] = source_of(named).identity()["probe"]
     assert probe == {"kind": "convex", "radius_mm": 40.0, "fov_deg": 70.0, "depth_mm": 150.0, "frequency_mhz": 3.0}
     assert composed("preset=paper").probe == ConvexProbe()
 
@@ -56,7 +56,7 @@ def test_settings_are_read_back_from_json(probe: str) -> None:
     assert build(StudySettings, of_earlier, stored=True) == s
     with pytest.raises(ValueError, match=r"tracking\.gone"):
         build(StudySettings, of_earlier)
-    assert about_simulated(s) != about_simulated(replace(s, probe=replace(s.probe, depth_mm=41.0)))
+    assert source_of(s).identity() != source_of(replace(s, probe=replace(s.probe, depth_mm=41.0))).identity()
 
 
 @pytest.mark.parametrize(("probe", "active"), [("C5-2v", 0.5), ("P4-2v", 1.0), ("L11-5v", None)])

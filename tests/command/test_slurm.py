@@ -12,8 +12,8 @@ from ablate.command.launch import Launch
 from ablate.command.slurm import queued, wait_for
 from ablate.settings.study import ConfigurationError
 from ablate.study.job import Job
-from ablate.tasks import command as program
-from ablate.tasks import run_task as tasks
+from ablate.tasks import entry as program
+from ablate.tasks import study as tasks
 from ablate.tasks.entry import execute
 from hydra_plugins.ablate_plugins import QueueLauncher
 from support.studies import here

@@ -2,13 +2,12 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from ablate.runs.run import Run
 
 from ablate.anatomy import load_tissues
 from ablate.command.compose import jobs_of
@@ -17,6 +16,7 @@ from ablate.networks import Generator, GeneratorSpec
 from ablate.pretrained import OUTSIDE, Renderer, save
 from ablate.setting import plain
 from ablate.study.job import Job
+from ablate.study.training import Training
 from ablate.training import TrainingSettings
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.user_code import code_digest
@@ -89,7 +89,7 @@ def strangers_generator(path: Path, trap: Trap) -> None:
 CUSTOM = {"family": "custom", "concat": "input", "upsampling": "transposed", "noise": "none", "depth": 1}
 
 
-def strangers_run(runs: Path, trap: Trap, *words: str) -> Run:
+def strangers_run(runs: Path, trap: Trap, *words: str) -> Training:
     """Write a finished run of the class of the trap, as `task=study` leaves it, in a folder of runs.
 
     Its data set is not there. More `words` of its command line may be given.
@@ -100,12 +100,12 @@ def strangers_run(runs: Path, trap: Trap, *words: str) -> Run:
     return run
 
 
-def innocent_run(runs: Path, *words: str) -> Run:
+def innocent_run(runs: Path, *words: str) -> Training:
     """Write a finished run of SA2H, whose files name no code."""
     return _finished(jobs_of(["preset=tiny", "variant=sa2h", f"runs_dir={runs}", *words])[0])
 
 
-def change_checkpoint(run: Run, changes: Mapping[str, object]) -> None:
+def change_checkpoint(run: Training, changes: Mapping[str, object]) -> None:
     """Write the checkpoint of a run with some of its parts changed."""
     checkpoint = torch.load(run.checkpoint, weights_only=True)
     torch.save(checkpoint | changes, run.checkpoint)
@@ -116,14 +116,14 @@ def hyper_parameters(spec: Mapping[str, object]) -> dict[str, object]:
     return {"spec": dict(spec), "settings": plain(TrainingSettings(ema_decay=0.0))}
 
 
-def _finished(job: Job) -> Run:
-    run = finish(job)
+def _finished(job: Job) -> Training:
+    run = finish(job).training
     channels = label_values([*load_tissues().values()], job.settings.encoding).shape[1]
-    spec = replace(job.settings.model, labels=channels)
-    weights = Generator(spec).state_dict()
+    spec = job.settings.model
+    weights = Generator(spec, channels).state_dict()
     content = {
         "steps_done": 1,
-        "hyper_parameters": hyper_parameters(plain(spec)),
+        "hyper_parameters": {**hyper_parameters(plain(spec)), "labels": channels},
         "state_dict": {f"generator.{name}": weight for name, weight in weights.items()},
         "target_source": None if spec.target is None else code_digest(spec.target),
     }

@@ -35,6 +35,7 @@ _RESULT = "trained.json"  # what it came to; written when the last step is done
 _PARAMETERS = ("parameters_generator", "parameters_discriminator")  # scalars that every training has
 _KINDS: Mapping[str, type] = {"pixels": str, "scalars": dict, "notes": list, "started": str, "ended": str}
 _EARLIER = "*/seed*/spec.json"  # of the layout before this one
+_NAME = r"\w[\w.+ -]*"  # of a label or a data set
 
 
 class State(StrEnum):
@@ -174,8 +175,7 @@ class Training:
         has_checkpoint = self.checkpoint.exists()
         if not (self.folder / _ABOUT).exists():
             return (State.unusable, f"without a {_ABOUT}") if has_checkpoint else (State.missing, "")
-        dicts = [self.about.get(key) for key in ("changed", "settings", "identity")]
-        if not all(isinstance(value, dict) for value in dicts) or digest(self.about["identity"]) != self.hash:
+        if not _is_described(self.about):
             return State.unusable, f"with a {_ABOUT} that is damaged, or not what its hash says"
         if not self.folder.name.endswith(_address("", self.about.get("seed"), self.hash)):
             return State.unusable, "in a folder that was renamed"
@@ -274,6 +274,18 @@ def earlier_layout(study_dir: Path) -> list[str]:
     count = len(list(study_dir.glob(_EARLIER)))
     runs = "1 run" if count == 1 else f"{count} runs"
     return [f"{study_dir} has {runs} of an earlier layout, which this version does not read."] if count else []
+
+
+def _is_described(about: Mapping[str, Any]) -> bool:
+    """Whether this says what a training is. It may come from anybody: names lead to no other folder."""
+    dicts = [about.get(key) for key in ("changed", "settings", "identity")]
+    names = [about.get(key) for key in ("label", "data")]
+    return (
+        all(isinstance(value, dict) for value in dicts)
+        and all(isinstance(name, str) and re.fullmatch(_NAME, name) for name in names)
+        and isinstance(about.get("seed"), int)
+        and digest(about["identity"]) == about.get("hash")
+    )
 
 
 def _unusable_keys(result: Mapping[str, Any]) -> list[str]:

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ablate.runs.run import Run
 
 import ablate
 from ablate.networks import GeneratorSpec
 from ablate.pretrained import NAMES
 from ablate.setting import plain
 from ablate.storage import read_json, write_json
+from ablate.study.training import State, Training
 from ablate.user_code import UnnamedCodeError
 from ablate.viewer.generators import first_fitting, open_generator, pickable
 from ablate.viewer.page.result_tabs import _distances
@@ -150,10 +150,9 @@ def test_only_the_checkpoint_names_it_and_the_rest_of_the_run_looks_innocent(tmp
 def test_a_metric_that_a_run_names_is_not_imported(tmp_path: Path, trap: Trap) -> None:
     run = innocent_run(tmp_path / "runs", f"metrics=[psnr,{trap.metric}]")
     trap.set_again()
-    for file, change in (("spec.json", {}), ("result.json", {"metrics": [trap.metric]})):
-        content = read_json(run.folder / file)
-        write_json(run.folder / file, content | change)
-    assert trap.metric in (run.folder / "spec.json").read_text()
+    content = read_json(run.folder / "trained.json")
+    write_json(run.folder / "trained.json", content | {"metrics": [trap.metric]})
+    assert trap.metric in (run.folder / "training.json").read_text()
     _, rendered = viewed(tmp_path / "runs")
     assert rendered == 1
     assert not trap.has_sprung
@@ -205,28 +204,28 @@ def test_a_folder_of_anything_is_looked_through(tmp_path: Path) -> None:
     """Names, links that lead in a circle or nowhere, and files where folders should be."""
     runs = tmp_path / "runs"
     run = innocent_run(runs)
-    study = run.folder.parents[1]
+    study = run.folder.parent
     (study / "nothing").mkdir()
     (study / "nothing" / "seed0").write_text("a file")
     (study / "circle").symlink_to(study, target_is_directory=True)
     (study / "gone").symlink_to(tmp_path / "nowhere")
-    for text in ("", "[]", "{", '{"hash": 3}', "[" * 100_000, "\udcff"):
-        folder = study / "broken" / f"seed{len(list(study.glob('broken/*')))}"
+    for number, text in enumerate(("", "[]", "{", '{"hash": 3}', "[" * 100_000, "\udcff")):
+        folder = study / f"broken-seed{number}-0"
         folder.mkdir(parents=True)
-        (folder / "spec.json").write_bytes(text.encode(errors="surrogateescape"))
+        (folder / "training.json").write_bytes(text.encode(errors="surrogateescape"))
         (folder / "last.ckpt").write_bytes(b"")
     offered = pickable(runs)
     assert [run_ for name, run_ in offered.items() if "comes with" not in name] == [run.folder.resolve()]
     assert len(offered) == 1 + len(NAMES)
 
 
-@pytest.mark.parametrize("data", ["../../../elsewhere", "/etc", "", "x\u0000y"])
-def test_a_data_set_elsewhere_is_not_followed_into_an_error(tmp_path: Path, data: str) -> None:
+@pytest.mark.parametrize("key", ["data", "label"])
+@pytest.mark.parametrize("name", ["../../../elsewhere", "/etc", "", "x\u0000y", 3])
+def test_names_that_lead_elsewhere_make_a_run_unusable(tmp_path: Path, key: str, name: object) -> None:
     run = innocent_run(tmp_path / "runs")
-    write_json(run.folder / "result.json", read_json(run.folder / "result.json") | {"data": data})
-    assert Run(run.folder).data == data
-    notes, _ = viewed(tmp_path / "runs")
-    assert len(notes) == 1
+    write_json(run.folder / "training.json", read_json(run.folder / "training.json") | {key: name})
+    assert Training(run.folder).state is State.unusable
+    assert len(pickable(tmp_path / "runs")) == len(NAMES)
 
 
 def test_names_are_words_on_the_page_and_never_markup() -> None:
