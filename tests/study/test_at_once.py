@@ -9,8 +9,8 @@ import pytest
 
 from ablate.command.compose import jobs_of
 from ablate.study import compare
+from ablate.study.job import claim
 from ablate.study.run import listed_runs
-from ablate.study.training import claim
 from support.finished_runs import finish
 from support.studies import TINY
 

@@ -10,10 +10,10 @@ import torch
 from ablate.command.checks import check
 from ablate.command.compose import jobs_of
 from ablate.settings.study import ConfigurationError
-from ablate.study.job import Job, trainings_of
+from ablate.study.job import Job, claim, trainings_of
 from ablate.study.run import listed_runs
 from ablate.study.scores import names_of, wanted_scores
-from ablate.study.training import State, Training, claim
+from ablate.study.training import State, Training
 from ablate.training import TRAINING_VERSION
 from support.finished_runs import PIXELS, WHOLE, finish
 

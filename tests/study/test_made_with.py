@@ -13,9 +13,9 @@ import torch
 
 from ablate.command.compose import jobs_of
 from ablate.study import provenance
-from ablate.study.job import Job
+from ablate.study.job import Job, claim
 from ablate.study.provenance import write_provenance
-from ablate.study.training import Training, claim
+from ablate.study.training import Training
 from ablate.study.work import _logged
 from support.finished_runs import WHOLE
 

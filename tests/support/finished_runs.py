@@ -6,10 +6,10 @@ from typing import Any
 import pandas as pd
 
 from ablate.evaluation import Scores
-from ablate.study.job import Job
+from ablate.study.job import Job, claim
 from ablate.study.run import Run
 from ablate.study.scores import by_metric, wanted_scores, write_score
-from ablate.study.training import Training, claim
+from ablate.study.training import Training
 
 PARAMETERS = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
 PIXELS = 16 * "0"

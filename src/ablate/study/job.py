@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ablate.dataset.encoding import Encoding
-from ablate.setting import check_name, identity
+from ablate.setting import check_name, identity, plain
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
@@ -112,6 +112,22 @@ class Job:
         """Whether the training has reached its last step, and every score that is asked for is there."""
         training = self.training
         return training.hash == self.hash and training.is_trained and not training.lacking(self.wanted)
+
+
+def claim(job: Job) -> Training:
+    """Make the folder of a job's training, and say in it what it is, before anything else is written there."""
+    from ablate.study.training import begin_folder
+
+    about = {
+        "hash": job.hash,
+        "label": job.label,
+        "seed": job.settings.seed,
+        "changed": {key: plain(value) for key, value in job.changed},
+        "identity": job.identity,
+        "settings": plain(job.settings),
+        "data": job.data.name,
+    }
+    return begin_folder(job.settings.study_dir, about)
 
 
 def precision_of(training: TrainingSettings) -> TrainingPrecision:

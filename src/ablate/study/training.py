@@ -13,21 +13,17 @@ from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from shutil import rmtree
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from filelock import FileLock
 
-from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.sources.data_set import DataSet
 from ablate.storage import digest, digest_of_files, known_json, write_json
 from ablate.study.scores import ScoreKey, is_whole
 from ablate.training.settings import LAST
-
-if TYPE_CHECKING:
-    from ablate.study.job import Job
 
 _LOG = logging.getLogger(__name__)
 _ABOUT = "training.json"  # what it is: hash, label, seed, changed, identity, settings, data
@@ -236,30 +232,20 @@ def training_at(study_dir: Path, label: str, seed: int, hash_: str) -> Training:
     return Training(study_dir / _address(label, seed, hash_))
 
 
-def claim(job: Job) -> Training:
-    """Make the folder of a job's training, and say in it what it is.
+def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
+    """Make the folder of a training, and say in it what it is; see `Training.about`.
 
     A checkpoint beside a file that is damaged may be of anything: a ConfigurationError.
     """
-    study_dir = job.settings.study_dir
     study_dir.mkdir(parents=True, exist_ok=True)
     with FileLock(study_dir / ".claim.lock"):  # two labels of one training have one folder
-        training = job.training
-        if training.hash == job.hash:
+        training = training_at(study_dir, about["label"], about["seed"], about["hash"])
+        if training.hash == about["hash"]:
             return training
         if training.checkpoint.exists():
             damaged = f"{training.folder / _ABOUT} is missing or damaged"
             raise ConfigurationError(f"{damaged}: what was trained is not known; remove {training.folder}")
         training.folder.mkdir(exist_ok=True)
-        about = {
-            "hash": job.hash,
-            "label": job.label,
-            "seed": job.settings.seed,
-            "changed": {key: plain(value) for key, value in job.changed},
-            "identity": job.identity,
-            "settings": plain(job.settings),
-            "data": job.data.name,
-        }
         write_json(training.folder / _ABOUT, about)
         return Training(training.folder)
 

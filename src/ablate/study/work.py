@@ -23,11 +23,11 @@ from ablate.settings.study import ConfigurationError, StudySettings, Verbosity
 from ablate.sources.data_set import DataSet, maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.storage import remove_partial, written_whole
-from ablate.study.job import Job, parameters
+from ablate.study.job import Job, claim, parameters
 from ablate.study.log import LocalLog, Status
 from ablate.study.provenance import write_provenance
 from ablate.study.scores import ScoreKey, by_metric, wanted_scores, write_score
-from ablate.study.training import Training, claim
+from ablate.study.training import Training
 from ablate.threads import torch_threads
 from ablate.training import TrainedGenerator, Validation, chosen_device, generated_images, train
 from ablate.user_code import code_digest
