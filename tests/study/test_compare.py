@@ -382,12 +382,9 @@ def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
 
 
 def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A training that was deleted and done again has the same hash."""
-    conf = tmp_path / "conf"
-    (conf / "component").mkdir(parents=True)
-    (conf / "component" / "att.yaml").write_text("band: 1")
     asked = read_list(study)
 
     def again() -> int:
@@ -397,7 +394,8 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
 
     before = again()
     assert again() == before
-    for changed, to in (("conf_folder", conf), ("package_digest", "x")):  # another band, or other statistics
+    other_band = tuple(replace(component, band=1.0) for component in components())
+    for changed, to in (("components", other_band), ("package_digest", "x")):  # another band, or other statistics
         monkeypatch.setattr(f"ablate.study.compare.{changed}", lambda to=to: to)
         later = again()
         assert later > before, changed

@@ -14,9 +14,9 @@ from ablate.analysis import StudyResults, draw_figures, listed
 from ablate.analysis.tables import head
 from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
-from ablate.settings.conf import conf_folder
+from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
-from ablate.storage import digest_of_files, known_json, write_json
+from ablate.storage import digest, digest_of_files, known_json, write_json
 from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
@@ -97,14 +97,15 @@ def on_screen(compared: Compared) -> str:
 def _made_from(study: Study) -> dict[str, Any]:
     """What decides a comparison: the files of its runs and of times, the reference, what was left aside, bands, code.
 
-    A run that was deleted and trained again has the same configuration and other files.
+    A run that was deleted and trained again has the same configuration and other files. Bands are those that this
+    process judges by: a file of conf/component that was edited meanwhile counts for the next command.
     """
     runs = {f"{run.name} of {run.data}": run.training.compared_state(run.score_names) for run in study.usable.all}
-    read = [study.folder / TIMES, *sorted((conf_folder() / "component").glob("*.yaml"))]
     titles = [head(metric) for metric in sorted(set(study.table["metric"]))]  # as far as this command knows
     return {
         "runs": runs,
-        "files": digest_of_files(read),
+        "times": digest_of_files([study.folder / TIMES]),
+        "components": digest([repr(component) for component in components()]),
         "metrics": titles,
         "code": package_digest(),
         "study": study.folder.name,

@@ -21,7 +21,7 @@ from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError, Task
 from ablate.study.job import Job
 
-_OURS = ("processes", "slurm")  # launchers that are given all jobs, and compare them when they have ended
+_OURS = "hydra_plugins.ablate_plugins."  # whose launchers are given all jobs, and compare them when they have ended
 
 register()  # on import: a launcher's process unpickles `run_one`, which imports this module, before it composes
 
@@ -154,7 +154,7 @@ class Comparison(hydra.experimental.callback.Callback):
 
     def on_multirun_end(self, config: DictConfig, **_: object) -> None:
         """Compare what lies on disk when all jobs have ended."""
-        is_ours = config.hydra.runtime.choices["hydra/launcher"] in _OURS
+        is_ours = str(config.hydra.launcher.get("_target_")).startswith(_OURS)
         if is_ours or config.objective is not None or config.task != Task.study:
             return
         jobs = jobs_of(["-m", *_words(config.hydra, "task"), "task=compare"])
