@@ -181,7 +181,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "simulator": plain(renderer.simulator),
         "made": dict(renderer.made),
     }
-    written = BytesIO()
-    torch.save(content, written)  # to a path, a full disk is a RuntimeError
+    in_memory = BytesIO()
+    torch.save(content, in_memory)  # a BytesIO: to a path, a full disk is a RuntimeError
     with written_whole(path) as partial:
-        partial.write_bytes(written.getbuffer())
+        partial.write_bytes(in_memory.getbuffer())
