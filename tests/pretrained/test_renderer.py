@@ -150,23 +150,6 @@ def test_labels_without_a_tissue_and_tissues_of_other_properties_are_refused(fra
             renderer.render(frame, [*TISSUES[:2], replace(TISSUES[2], **changed)])
 
 
-def test_a_class_that_only_a_file_names_is_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    trace = tmp_path / "ran"
-    (tmp_path / "writes_a_file.py").write_text(f"open({str(trace)!r}, 'w').close()\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    save(made(), tmp_path / "own.pt")
-    content = torch.load(tmp_path / "own.pt", weights_only=True)
-    content["spec"] |= {"family": "custom", "target": "writes_a_file.Net", "concat": "input", "noise": "none"}
-    content["spec"]["upsampling"] = "transposed"
-    torch.save(content, tmp_path / "own.pt")
-    with pytest.raises(ValueError, match=r"own\.pt: .* only the file names: custom='writes_a_file\.Net' lets"):
-        load(tmp_path / "own.pt")
-    assert not trace.exists()
-    with pytest.raises(ValueError, match="AttributeError"):  # the module has no such class, but it was imported
-        load(tmp_path / "own.pt", custom="writes_a_file.Net")
-    assert trace.exists()
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_generator_names_all_keys_of_a_network_and_no_other(name: str) -> None:
     content = torch.load(Path(ablate.__file__).parent / "pretrained" / f"{name}.pt", weights_only=True)

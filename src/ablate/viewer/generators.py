@@ -116,7 +116,7 @@ def _renderer_of(run: Training, values: Mapping[str, tuple[float, ...]], custom:
     with naming(f"{run.checkpoint}: not the checkpoint of a training: ", (AttributeError, KeyError, TypeError)):
         target = checkpoint["hyper_parameters"]["spec"].get("target")
         check_named(run.checkpoint, target, custom, _NAMED_BY)
-        generator = load_generator(run.checkpoint)
+        generator = load_generator(run.checkpoint, custom)
     probe, simulator = _frames_of(run)
     return Renderer(generator, values, probe, simulator, made={})
 
