@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 import torch
 
 Result = TypeVar("Result")
-_own: ContextVar[int | None] = ContextVar("own threads", default=None)
+# How many threads `in_parts` may use where torch uses one, within `without_teams`.
+_allowed: ContextVar[int | None] = ContextVar("allowed threads", default=None)
 
 
 @contextmanager
@@ -37,16 +38,17 @@ def torch_threads(count: int) -> Iterator[int]:
 @contextmanager
 def without_teams() -> Iterator[int]:
     """Within, torch computes on the thread that calls it, `in_parts` on as many as torch had; gives their number."""
-    if (already := _own.get()) is not None:
-        yield already
+    outer = _allowed.get()
+    if outer is not None:
+        yield outer
         return
     threads = torch.get_num_threads()
-    token = _own.set(threads)
+    token = _allowed.set(threads)
     try:
         with torch_threads(1):
             yield threads
     finally:
-        _own.reset(token)
+        _allowed.reset(token)
 
 
 @cache
@@ -62,8 +64,10 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
     let go of Python's lock.
     """
     begins = range(0, rows, part)
-    own, inference = torch.get_num_threads(), torch.is_inference_mode_enabled()  # torch keeps both by thread
-    threads = min((most := _own.get() or own), len(begins))
+    torch_count = torch.get_num_threads()  # torch keeps this by thread, and the next
+    inference = torch.is_inference_mode_enabled()
+    allowed = _allowed.get() or torch_count
+    helpers = min(allowed, len(begins)) - 1
     results: dict[int, Result] = {}
     left = iter(begins)
 
@@ -73,25 +77,22 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
                 results[begin] = work(begin, min(begin + part, rows))
 
     def help_out() -> None:
-        torch.set_num_threads(own)
+        torch.set_num_threads(torch_count)
         take_parts()
 
-    if threads <= 1:  # without memory the start of a thread never returns (CPython 3.11): none that is not needed
+    futures: list[Future[None]] = []
+    try:
+        for _ in range(helpers):
+            futures.append(_helpers(allowed - 1, os.getpid()).submit(copy_context().run, help_out))
         take_parts()
-    else:
-        others: list[Future[None]] = []
-        try:
-            for _ in range(threads - 1):
-                others.append(_helpers(most - 1, os.getpid()).submit(copy_context().run, help_out))
-            take_parts()
-        except BaseException:
-            _helpers.cache_clear()  # ends them: one that was interrupted as it started would wait for work for ever
-            raise
-        finally:
-            others = [other for other in others if not other.cancel()]  # a helper may be busy with other work
-            wait(others)
-        for other in others:
-            other.result()
+    except BaseException:
+        _helpers.cache_clear()  # ends them: one that was interrupted as it started would wait for work for ever
+        raise
+    finally:
+        futures = [future for future in futures if not future.cancel()]  # a helper may be busy with other work
+        wait(futures)
+    for future in futures:
+        future.result()
     return [results[begin] for begin in begins]
 
 

@@ -151,9 +151,12 @@ def test_labels_without_a_tissue_and_tissues_of_other_properties_are_refused(fra
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_shipped_generator_names_all_keys_of_a_network_and_no_other(name: str) -> None:
+def test_a_shipped_generator_has_the_components_that_its_file_names(name: str) -> None:
+    """Components that are newer than the file are off."""
     content = torch.load(Path(ablate.__file__).parent / "pretrained" / f"{name}.pt", weights_only=True)
-    assert content["spec"] == plain(load(name).generator.spec)
+    generator = load(name).generator
+    assert content["spec"].items() <= plain(generator.spec).items()
+    assert content["labels"] == generator.labels == 3
 
 
 @pytest.mark.slow

@@ -66,10 +66,8 @@ def instance_norm(features: Tensor) -> Tensor:
     batch, channels, height, width = features.shape
     if height * width == 1:
         return features
-    is_plain = (
-        type(features) is Tensor
-    )  # and no other kind, as of `receptive_field`, that knows torch's functions alone
-    if features.device.type != "cpu" or torch.compiler.is_exporting() or not is_plain:
+    is_followed = type(features) is not Tensor  # as by `receptive_field`, which knows torch's own functions alone
+    if features.device.type != "cpu" or torch.compiler.is_exporting() or is_followed:
         return F.instance_norm(features)
     pixels = features.permute(0, 2, 3, 1).reshape(batch, -1, channels)  # torch is fastest over the middle of three
     pixels = pixels.to(torch.promote_types(features.dtype, torch.float32))

@@ -88,17 +88,19 @@ def _side(network: Callable[[Tensor], Tensor], period: int, stride: int) -> int:
         If the network has an operation that cannot be followed, or depends on all columns.
     """
     outputs = period // stride
+    shift = torch.full((outputs,), float(period))
     for periods in _PERIODS:
         columns = torch.arange(1.0, periods * period + 1)
         last = _farthest(network, columns)
         first = _farthest(network, columns.flip(0))  # counted from the right border
-        left_ends, next_ends = last[:outputs], last[outputs : 2 * outputs]
-        right_ends, previous_ends = first[-outputs:], first[-2 * outputs : -outputs]
-        is_periodic = torch.equal(next_ends - left_ends, torch.full((outputs,), float(period)))
-        is_periodic &= torch.equal(previous_ends - right_ends, torch.full((outputs,), float(period)))
-        if is_periodic:
+        # Outputs that do not reach the far border depend on columns one period further than those a period before.
+        ends = last[:outputs]
+        starts = first[-outputs:]
+        ends_are_inside = torch.equal(last[outputs : 2 * outputs] - ends, shift)
+        starts_are_inside = torch.equal(first[-2 * outputs : -outputs] - starts, shift)
+        if ends_are_inside and starts_are_inside:
             between = (len(last) - outputs) * stride  # from the outputs at the left border to those at the right one
-            return int((left_ends + right_ends - len(columns) + between).max())
+            return int((ends + starts - len(columns) + between).max())
     raise ValueError(f"the receptive field is larger than {columns.numel() // 2} px")
 
 

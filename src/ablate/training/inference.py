@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from enum import StrEnum
@@ -86,13 +85,34 @@ def open_engine(
     precision: TrainingPrecision = TrainingPrecision.auto,
     engine: Engine = Engine.eager,
 ) -> OpenEngine:
-    """Make a function that renders one frame of `height` x `width` px, on the generator's device.
+    """Make a function that renders one frame, on the generator's device.
 
-    The generator is put in evaluation mode. Maps beyond `conditions(generator.spec)` are not read. Exporting takes its
-    time here. Where the machine lacks what the engine needs, it is a RuntimeError.
+    Maps beyond `conditions(generator.spec)` are not read. Exporting takes its time here.
+
+    Parameters
+    ----------
+    generator : Generator
+        It is put in evaluation mode.
+    height, width : int
+        Size of the frame, px.
+    precision : TrainingPrecision
+        Of the convolutions.
+    engine : Engine
+        What computes them.
+
+    Returns
+    -------
+    callable
+        Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
+
+    Raises
+    ------
+    RuntimeError
+        Where the machine lacks what the engine needs.
     """
     device = next(generator.eval().parameters()).device
-    if (lacking := missing_for(engine, device)) is not None:
+    lacking = missing_for(engine, device)
+    if lacking is not None:
         raise RuntimeError(f"engine={engine}: needs {lacking}")
     if engine == Engine.exported:
         with TemporaryDirectory() as folder:
@@ -128,17 +148,22 @@ def open_exported(
 
     The generator draws the noise, of which the file is given the fields; its weights are not used.
     """
-    hint = "bf16" if chosen_precision(precision, torch.device("cpu")) is TrainingPrecision.bf16 else "f32"
-    options = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": torch.get_num_threads()}
-    compiled = openvino_core().compile_model(path, "CPU", options | {"PERFORMANCE_HINT": "LATENCY"})
+    is_bf16 = chosen_precision(precision, torch.device("cpu")) is TrainingPrecision.bf16
+    options = {
+        "INFERENCE_PRECISION_HINT": "bf16" if is_bf16 else "f32",
+        "INFERENCE_NUM_THREADS": torch.get_num_threads(),
+        "PERFORMANCE_HINT": "LATENCY",
+    }
+    compiled = openvino_core().compile_model(path, "CPU", options)
     names = conditions(generator.spec)
 
     @without_teams()  # torch's threads go on spinning after the noise, on the cores that OpenVINO needs
     @torch.inference_mode()
     def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
         given = {name: maps[name] for name in names}
-        fields = generator.draw_noise(seed, *given[names[0]].shape[-2:])
-        image = compiled({name: value.numpy() for name, value in {**given, **fields}.items()})
+        height, width = maps["segmentation"].shape[-2:]
+        given |= generator.draw_noise(seed, height, width)
+        image = compiled({name: value.numpy() for name, value in given.items()})
         return torch.from_numpy(image[0])
 
     return render
@@ -154,36 +179,53 @@ def generate(
 ) -> np.ndarray:
     """Render full frames on the generator's device: one at a time, or small ones on a CPU one a thread, side by side.
 
-    Returns (N, H, W) uint8. A missing map is a KeyError, and NaN or infinity in the generator's output a ValueError.
-
     Parameters
     ----------
+    generator : Generator
+        In evaluation mode.
     maps : mapping of (N, 1, H, W) float32
-        At least the maps of `conditions(generator.spec)`; others are not read.
+        At least the maps of `conditions(generator.spec)`; others are not read. The segmentation has one channel or
+        more, as the generator reads it.
     mask : (N, 1, H, W), (N, H, W) or (H, W) bool or float
         The fan; outside of it the image is black.
     noise_seed : (N,) int64 or None
         One a frame: the same seed gives the same frame. None renders without noise.
+    precision : TrainingPrecision
+        Of the convolutions.
     converter : ScanConverter, optional
         Makes images of the frames of a generator in beam space; without it they stay there.
+
+    Returns
+    -------
+    (N, H, W) uint8
+        Grey levels.
+
+    Raises
+    ------
+    KeyError
+        If a map is missing.
+    ValueError
+        If the generator is in training mode, the mask has another shape than the maps, or the generator's output is
+        not finite.
     """
     if generator.training:
         raise ValueError("generator: in training mode; `generator.eval()` ends it")
     device = next(generator.parameters()).device
-    count, *size = (maps["segmentation"].shape[k] for k in (0, -2, -1))
-    if tuple(mask.shape) not in {(*size,), (count, *size), (count, 1, *size)}:
+    count, _, height, width = maps["segmentation"].shape
+    if tuple(mask.shape) not in {(height, width), (count, height, width), (count, 1, height, width)}:
         raise ValueError(f"mask: shape {tuple(mask.shape)}, allowed is that of the maps, or one of (H, W) for all")
     given = {name: maps[name] for name in conditions(generator.spec)}
+    fans = mask.reshape(-1, height, width).expand(count, height, width)
 
     def render(index: int, end: int) -> np.ndarray:
         with torch.inference_mode(), autocast(precision, device):  # both are of the thread that renders
             frame = {name: value[index:end].to(device) for name, value in given.items()}
             seed = None if noise_seed is None else noise_seed[index:end].to(device)
-            fan = (mask if mask.ndim == 2 else mask[index].reshape(mask.shape[-2:])).to(device)
-            levels: np.ndarray = decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu().numpy()
+            image = generator(**frame, noise_seed=seed)[0, 0]
+            levels: np.ndarray = decode_grey_levels(image, fans[index].to(device)).cpu().numpy()
             return levels
 
-    if device.type == "cpu" and count > 1 and math.prod(size) <= _SMALL_FRAME_PX:
+    if device.type == "cpu" and count > 1 and height * width <= _SMALL_FRAME_PX:
         with without_teams():
             frames = np.stack(in_parts(render, count, 1))
     else:
@@ -196,10 +238,27 @@ def generated_images(
 ) -> Callable[..., np.ndarray]:
     """An `ImageSource` of a generator on a data set; the noise depends on frame number and draw.
 
-    A generator in beam space renders there, and its frames are scan-converted. Maps that are given too are not read.
+    A generator in beam space renders there, and its frames are scan-converted.
+
+    Parameters
+    ----------
+    generator : Generator
+        In evaluation mode.
+    pairs : Pairs
+        Where the maps of a frame are read, unless they are given with it.
+    values : (labels + 1, channels) float32
+        What the generator reads for each label, `label_values`.
+    precision : TrainingPrecision
+        Of the convolutions.
+
+    Returns
+    -------
+    callable
+        Takes the numbers of frames, (N,) int, and of the draw, and gives (N, H, W) uint8.
     """
     space = generator.spec.space
-    mask, converter = pairs.mask(space), pairs.converter if space is Space.beam else None
+    mask = pairs.mask(space)
+    converter = pairs.converter if space is Space.beam else None
 
     def render(frames: np.ndarray, draw: int, given: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         maps = given or {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}
