@@ -177,7 +177,8 @@ def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
         given = np.asarray(getattr(grid, name), float)
         if name in ("angles_deg", "rolls_deg") and (np.diff(given) < 0).any():
             given = np.unwrap(given, period=360)
-        lower, upper = min(given), max(given)
+        lower = min(given)
+        upper = max(given)
         places = np.linspace(lower, upper, count) if count > 1 else [(lower + upper) / 2]
         spread[name] = tuple(np.unique(places).tolist())
     return replace(grid, **spread)
