@@ -381,9 +381,7 @@ def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
     assert "72 NaNs left out" in report
 
 
-def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
-    study: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A training that was deleted and done again has the same hash."""
     asked = read_list(study)
 

@@ -45,9 +45,26 @@ class Crops:
     (N, 1, h, w) float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`,
     (N, 1, h, w) float32; and `noise_seed`, (N,) int64.
 
-    Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
-    `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
-    takes longer to find a frame than the crop is cut in. A ValueError when a batch is larger than the number of frames.
+    Parameters
+    ----------
+    pairs : Pairs
+        The data set.
+    frames : (k,) int
+        Numbers of the frames from which crops are drawn.
+    maps : frozenset of str
+        Maps that a batch holds besides segmentation and target.
+    values : (labels, channels) float32
+        Of `label_values`.
+    settings : CropSettings
+        How crops are cut.
+    in_memory_bytes : int
+        As many frames as fit into it are kept in memory, as `Pairs.stored` has them: Zarr takes longer to find a frame
+        than the crop is cut in.
+
+    Raises
+    ------
+    ValueError
+        When a batch is larger than the number of frames.
     """
 
     def __init__(
@@ -61,10 +78,14 @@ class Crops:
     ) -> None:
         if settings.batch_size > len(frames):
             raise ValueError(f"training.batch_size={settings.batch_size}: more than the {len(frames)} training frames")
-        self.pairs, self.frames, self.values, self.settings = pairs, np.asarray(frames), values, settings
+        self.pairs = pairs
+        self.frames = np.asarray(frames)
+        self.values = values
+        self.settings = settings
         self.mask = pairs.mask(settings.space)
         self.size = (settings.size, settings.size) if settings.size else self.mask.shape
-        self.positions = {name: pairs.positions(settings.space)[name] for name in sorted(maps & OF_POSITION)}
+        positions = pairs.positions(settings.space) if maps & OF_POSITION else {}
+        self.positions = {name: positions[name] for name in sorted(maps & OF_POSITION)}
         self.names = ("segmentation", "target", *sorted(maps - {"segmentation", "target"} - OF_POSITION))
         self._kept = in_memory_bytes // sum(self._stored(name, frames[0]).nbytes for name in self.names)
         self._in_memory = {name: self._stored(name, self.frames[: self._kept]) for name in self.names}
@@ -73,11 +94,14 @@ class Crops:
         return self.pairs.stored(name, frames, self.settings.space)
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
-        names, shape = ("mask", *self.names, *self.positions), (self.settings.batch_size, 1, *self.size)
-        batch = {name: np.empty(shape, np.float32) for name in names}
-        batch["segmentation"] = np.empty((shape[0], self.values.shape[1], *self.size), np.float32)
-        seeds = [self._fill(batch, step, index) for index in range(self.settings.batch_size)]
-        return {**{k: torch.from_numpy(v) for k, v in batch.items()}, "noise_seed": torch.tensor(seeds)}
+        count = self.settings.batch_size
+        channels = dict.fromkeys(("mask", *self.names, *self.positions), 1)
+        channels["segmentation"] = self.values.shape[1]
+        arrays = {name: np.empty((count, several, *self.size), np.float32) for name, several in channels.items()}
+        seeds = [self._fill(arrays, step, index) for index in range(count)]
+        batch = {name: torch.from_numpy(array) for name, array in arrays.items()}
+        batch["noise_seed"] = torch.tensor(seeds)
+        return batch
 
     def _fill(self, batch: dict[str, np.ndarray], step: int, index: int) -> int:
         """Cut crop `index` of a batch into its place; returns its noise seed."""
@@ -92,7 +116,8 @@ class Crops:
             batch[name][index, 0] = -cut if mirror and name == "lateral" else cut
         for name in self.names:  # in place: temporary arrays of this size cost more than the arithmetic
             frame = self._in_memory[name][item] if item < self._kept else self._stored(name, self.frames[item])
-            cut, place = self._cut(frame, corner, mirror), batch[name][index, 0]
+            cut = self._cut(frame, corner, mirror)
+            place = batch[name][index, 0]
             if name == "segmentation":
                 for channel, values in enumerate(self.values.T):
                     np.take(values, cut, out=batch[name][index, channel])
@@ -109,22 +134,28 @@ class Crops:
         """Top left corner of a crop with enough of the fan in it; where none is found, of the best one seen."""
         rows, columns = (max(whole - side, 0) for whole, side in zip(self.mask.shape, self.size, strict=True))
         least = max(1.0, self.settings.fan_fraction * self.size[0] * self.size[1])
-        best, best_count = (0, 0), -1
+        best = (0, 0)
+        best_count = -1
         for _ in range(_TRIES):
-            row, column = int(rng.integers(rows + 1)), int(rng.integers(columns + 1))
+            row = int(rng.integers(rows + 1))
+            column = int(rng.integers(columns + 1))
             count = int(np.count_nonzero(self.mask[row : row + self.size[0], column : column + self.size[1]]))
             if count > best_count:
-                best, best_count = (row, column), count
+                best = (row, column)
+                best_count = count
             if count >= least:
                 break
         if best_count == 0:  # a fan of a few pixels: a window about one of them
             inside = np.argwhere(self.mask)
-            row, column = (int(v) for v in inside[rng.integers(len(inside))])
-            best = min(max(row - self.size[0] // 2, 0), rows), min(max(column - self.size[1] // 2, 0), columns)
+            row, column = inside[rng.integers(len(inside))].tolist()
+            top = min(max(row - self.size[0] // 2, 0), rows)
+            left = min(max(column - self.size[1] // 2, 0), columns)
+            best = (top, left)
         return best
 
     def _cut(self, image: np.ndarray, corner: tuple[int, int], mirror: bool) -> np.ndarray:
-        (row, column), (height, width) = corner, self.size
+        row, column = corner
+        height, width = self.size
         cut = image[row : row + height, column : column + width]
         if cut.shape != self.size:
             cut = np.pad(cut, ((0, height - cut.shape[0]), (0, width - cut.shape[1])))

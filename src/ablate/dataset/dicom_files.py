@@ -16,7 +16,19 @@ from ablate.dataset.pairs import Pairs
 from ablate.ultrasound import SIMULATOR_VERSION
 
 Size = tuple[float, float]  # of a pixel: height and width, mm
-_VERSION, _FRAME_TIME = f"simulator {SIMULATOR_VERSION}", 0x00181063  # the tag of what tells frames of a cine apart
+_VERSION = f"simulator {SIMULATOR_VERSION}"
+# The standard wants them, and nothing is known.
+_EMPTY = (
+    "PatientBirthDate",
+    "PatientSex",
+    "StudyDate",
+    "StudyTime",
+    "StudyID",
+    "AccessionNumber",
+    "ReferringPhysicianName",
+    "Laterality",
+)
+_FRAME_TIME = 0x00181063  # the tag of what tells frames of a cine apart
 
 
 def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
@@ -49,40 +61,77 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
 
 
 def write_cine(path: Path, frames: np.ndarray, mask: np.ndarray, pixel_mm: Size, frame_ms: float) -> None:
-    """Images, (n, H, W) uint8, of one size and place as one multi-frame object; `mask`, (H, W) bool, is the fan."""
+    """Write images as one multi-frame object.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    frames : (n, H, W) uint8
+        Grey levels of images of one size and place.
+    mask : (H, W) bool
+        The fan.
+    pixel_mm : (float, float), mm
+        Height and width of a pixel.
+    frame_ms : float
+        Time from one frame to the next.
+    """
     cine = _ultrasound(path.parent.name, 0, frames, mask, pixel_mm)
     content = hashlib.sha256(np.ascontiguousarray(frames).tobytes() + repr((pixel_mm, frame_ms)).encode()).hexdigest()
     cine.SOPInstanceUID = _uid(content)
-    cine.StudyInstanceUID, cine.SeriesInstanceUID = _uid(content, "study"), _uid(content, "series")
+    cine.StudyInstanceUID = _uid(content, "study")
+    cine.SeriesInstanceUID = _uid(content, "series")
     cine.SOPClassUID = UltrasoundMultiFrameImageStorage
-    cine.FrameTime, cine.FrameIncrementPointer = frame_ms, _FRAME_TIME
+    cine.FrameTime = frame_ms
+    cine.FrameIncrementPointer = _FRAME_TIME
     pydicom.dcmwrite(path, cine, enforce_file_format=True)
 
 
 def _ultrasound(known_by: str, number: int, pixels: np.ndarray, mask: np.ndarray, pixel_mm: Size) -> Dataset:
     """An ultrasound image with its region calibrated; pixels are (H, W) or, of several frames, (n, H, W)."""
-    data, region, inside = Dataset(), Dataset(), np.argwhere(mask)
+    data = Dataset()
     data.file_meta = FileMetaDataset()
     data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    data.SOPClassUID, data.SOPInstanceUID = UltrasoundImageStorage, _uid(known_by, str(number))
-    data.StudyInstanceUID, data.SeriesInstanceUID = _uid(known_by, "study"), _uid(known_by, "series")
-    data.PatientName, data.PatientID = "Simulated^Phantom", known_by[:64]
-    data.PatientBirthDate = data.PatientSex = data.StudyDate = data.StudyTime = data.StudyID = ""
-    data.AccessionNumber = data.ReferringPhysicianName = data.Laterality = ""
-    data.Modality, data.Manufacturer = "US", "ablate"
-    data.SeriesDescription, data.SoftwareVersions = known_by[:64], _VERSION
-    data.SeriesNumber, data.InstanceNumber = 1, number + 1
-    data.PatientOrientation, data.ImageType = [], ["DERIVED", "PRIMARY"]
+    data.SOPClassUID = UltrasoundImageStorage
+    data.SOPInstanceUID = _uid(known_by, str(number))
+    data.StudyInstanceUID = _uid(known_by, "study")
+    data.SeriesInstanceUID = _uid(known_by, "series")
+    data.PatientName = "Simulated^Phantom"
+    data.PatientID = known_by[:64]
+    for name in _EMPTY:
+        setattr(data, name, "")
+    data.Modality = "US"
+    data.Manufacturer = "ablate"
+    data.SeriesDescription = known_by[:64]
+    data.SoftwareVersions = _VERSION
+    data.SeriesNumber = 1
+    data.InstanceNumber = number + 1
+    data.PatientOrientation = []
+    data.ImageType = ["DERIVED", "PRIMARY"]
     data.DerivationDescription = "Simulated, no patient"
-    region.RegionSpatialFormat, region.RegionDataType, region.RegionFlags = 1, 1, 0  # 2-D, tissue
-    (top, left), (bottom, right) = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
-    region.RegionLocationMinX0, region.RegionLocationMinY0 = left, top
-    region.RegionLocationMaxX1, region.RegionLocationMaxY1 = right, bottom
-    region.PhysicalUnitsXDirection = region.PhysicalUnitsYDirection = 3  # cm
-    region.PhysicalDeltaX, region.PhysicalDeltaY = pixel_mm[1] / 10, pixel_mm[0] / 10
-    data.SequenceOfUltrasoundRegions = [region]
+    data.SequenceOfUltrasoundRegions = [_region(mask, pixel_mm)]
     data.set_pixel_data(pixels, "MONOCHROME2", 8, generate_instance_uid=False)
     return data
+
+
+def _region(mask: np.ndarray, pixel_mm: Size) -> Dataset:
+    """The bounds of the fan, and the size of its pixels."""
+    region = Dataset()
+    region.RegionSpatialFormat = 1  # 2-D
+    region.RegionDataType = 1  # tissue
+    region.RegionFlags = 0
+    inside = np.argwhere(mask)
+    top, left = inside.min(axis=0).tolist()
+    bottom, right = inside.max(axis=0).tolist()
+    region.RegionLocationMinX0 = left
+    region.RegionLocationMinY0 = top
+    region.RegionLocationMaxX1 = right
+    region.RegionLocationMaxY1 = bottom
+    region.PhysicalUnitsXDirection = 3  # cm
+    region.PhysicalUnitsYDirection = 3
+    region.PhysicalDeltaX = pixel_mm[1] / 10
+    region.PhysicalDeltaY = pixel_mm[0] / 10
+    return region
 
 
 def _segment(number: int, tissue: str) -> SegmentDescription:

@@ -38,8 +38,9 @@ class Encoding(StrEnum):
     properties = "properties"
 
 
-#: Middle and half range of the properties: level of the scatterers in dB, and impedance in MRayl.
-_LEVEL_DB, _IMPEDANCE_MRAYL = (-20.0, 20.0), (1.6, 0.2)
+# Middle and half range of the properties.
+_LEVEL_DB = (-20.0, 20.0)  # of the scatterers
+_IMPEDANCE_MRAYL = (1.6, 0.2)
 
 
 def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -> np.ndarray:
@@ -51,15 +52,8 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     """
     n = len(tissues)
     if Encoding(encoding) is Encoding.properties:
-        of_tissues = [
-            (
-                (10 * np.log10(max(tissue.scatter_power, 1e-9)) - _LEVEL_DB[0]) / _LEVEL_DB[1],
-                (tissue.impedance_mrayl - _IMPEDANCE_MRAYL[0]) / _IMPEDANCE_MRAYL[1],
-                1.0 if tissue.kind is TissueKind.bone else -1.0,
-            )
-            for tissue in tissues
-        ]
-        return np.clip([(-1.0, -1.0, -1.0), *of_tissues], -1, 1).astype(np.float32)
+        outside = (-1.0, -1.0, -1.0)
+        return np.clip([outside, *map(_properties, tissues)], -1, 1).astype(np.float32)
     if encoding == Encoding.echogenicity:
         rank = np.asarray(echogenicity_order(tissues))
     else:
@@ -67,11 +61,23 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)[:, None]
 
 
+def _properties(tissue: Tissue) -> tuple[float, float, float]:
+    """Level, impedance and kind of a tissue, of which usual ones lie in [-1, 1]."""
+    level_db = 10 * np.log10(max(tissue.scatter_power, 1e-9))
+    return (
+        (level_db - _LEVEL_DB[0]) / _LEVEL_DB[1],
+        (tissue.impedance_mrayl - _IMPEDANCE_MRAYL[0]) / _IMPEDANCE_MRAYL[1],
+        1.0 if tissue.kind is TissueKind.bone else -1.0,
+    )
+
+
 def alike_labels(tissues: Sequence[Tissue], values: np.ndarray) -> list[str]:
     """A sentence for each group of labels whose `values`, of `label_values`, are equal: no network tells them apart."""
-    names, rows = ("outside the fan", *(tissue.name for tissue in tissues)), values.tolist()
-    groups = {tuple(row): [name for name, own in zip(names, rows, strict=True) if own == row] for row in rows}
-    return [f"The network reads the same for {' and '.join(group)}." for group in groups.values() if len(group) > 1]
+    names = ["outside the fan", *(tissue.name for tissue in tissues)]
+    by_values: dict[tuple[float, ...], list[str]] = {}
+    for name, row in zip(names, values.tolist(), strict=True):
+        by_values.setdefault(tuple(row), []).append(name)
+    return [f"The network reads the same for {' and '.join(alike)}." for alike in by_values.values() if len(alike) > 1]
 
 
 def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +14,18 @@ from skimage.util import montage
 
 from ablate.anatomy import Tissue, load_tissues
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.png_folder import FOLDERS, fan_values
+from ablate.dataset.png_folder import FOLDERS
+from ablate.dataset.png_tables import fan_values
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
 
-_THUMBNAIL_PX, _PER_PART = 320, 8
+_THUMBNAIL_PX = 320
+_PER_PART = 8  # frames on the contact sheet
 # A colour a label, the same in every frame: hues a golden angle apart, outside the fan black.
 _HUES = np.arange(256) * 0.381966 % 1
 _COLOURS = hsv2rgb(np.stack([_HUES, np.full(256, 0.55), np.where(np.arange(256) % 2, 0.95, 0.7)], axis=-1))
 _COLOURS[0] = 0
+_FOLD = {"train": Part.train, "val": Part.validation}  # as nnU-Net calls them
 
 
 def write_contact_sheet(pairs: Pairs, path: Path) -> None:
@@ -48,13 +52,20 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
 
 def write_png(pairs: Pairs, folder: Path, tissues: Sequence[Tissue]) -> None:
     """A folder that `scene=pairs` reads back bit for bit; its labels have names if all tissues are built-in ones."""
-    for name in sorted(name for name in pairs.maps & FOLDERS.keys() if not pairs.missing(frozenset({name}))):
-        (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
-        for frame in range(len(pairs)):
-            write_image(folder / FOLDERS[name] / f"{_name(frame)}.png", pairs.stored(name, frame))
-    sites, parts = [f"site{site}" for site in pairs.sites], [Part(part).name for part in pairs.split]
-    frames = pd.DataFrame({"name": [_name(k) for k in range(len(pairs))], "site": sites, "part": parts})
-    write_text(folder / "frames.csv", frames.to_csv(index=False))
+    numbers = range(len(pairs))
+    for name in sorted(pairs.maps & FOLDERS.keys()):
+        if pairs.missing(frozenset({name})):
+            continue
+        of_map = folder / FOLDERS[name]
+        of_map.mkdir(parents=True, exist_ok=True)
+        for frame in numbers:
+            write_image(of_map / f"{_name(frame)}.png", pairs.stored(name, frame))
+    frames = {
+        "name": [_name(frame) for frame in numbers],
+        "site": [f"site{site}" for site in pairs.sites],
+        "part": [Part(part).name for part in pairs.split],
+    }
+    write_text(folder / "frames.csv", pd.DataFrame(frames).to_csv(index=False))
     if all(load_tissues().get(tissue.name) == tissue for tissue in tissues):
         labels = pd.Series(pairs.tissues, pd.RangeIndex(1, len(pairs.tissues) + 1, name="label"), name="tissue")
         write_text(folder / "labels.csv", labels.to_csv())
@@ -68,19 +79,32 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
     Classes are those that occur, numbered one after another, as nnU-Net wants them. `splits_final.json` holds one fold,
     the validation frames of the study; nnU-Net reads it in its folder of preprocessed data.
     """
-    occurring = sorted(set().union({0}, *(np.unique(pairs.stored("segmentation", k)) for k in range(len(pairs)))))
+    occurring = {0}
     for frame in range(len(pairs)):
-        end = "Ts" if pairs.split[frame] == Part.test else "Tr"
-        classes = np.searchsorted(occurring, pairs.stored("segmentation", frame)).astype(np.uint8)
-        for kind, image, suffix in (("images", pairs.stored("target", frame), "_0000"), ("labels", classes, "")):
-            (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
-            write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", image)
-    names = "background", *pairs.tissues
-    labels = {f"{names[k]}_{k}" if k and names.count(names[k]) > 1 else names[k]: i for i, k in enumerate(occurring)}
-    about = {"channel_names": {"0": "ultrasound"}, "labels": labels, "file_ending": ".png"}
-    write_json(folder / "dataset.json", about | {"numTraining": int((pairs.split != Part.test).sum())})
-    train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))
-    write_text(folder / "splits_final.json", json.dumps([{"train": train, "val": validation}], indent=2))
+        occurring.update(np.unique(pairs.stored("segmentation", frame)).tolist())
+    labels = sorted(occurring)
+    ends = ["Ts" if part == Part.test else "Tr" for part in pairs.split]
+    for kind, end in product(("images", "labels"), set(ends)):
+        (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
+    for frame, end in enumerate(ends):
+        classes = np.searchsorted(labels, pairs.stored("segmentation", frame)).astype(np.uint8)
+        write_image(folder / f"images{end}" / f"{_name(frame)}_0000.png", pairs.stored("target", frame))
+        write_image(folder / f"labels{end}" / f"{_name(frame)}.png", classes)
+    names = ("background", *pairs.tissues)
+    about = {
+        "channel_names": {"0": "ultrasound"},
+        "labels": {_class_name(names, label): number for number, label in enumerate(labels)},
+        "file_ending": ".png",
+        "numTraining": int((pairs.split != Part.test).sum()),
+    }
+    write_json(folder / "dataset.json", about)
+    fold = {key: [_name(int(frame)) for frame in pairs.frames(part)] for key, part in _FOLD.items()}
+    write_text(folder / "splits_final.json", json.dumps([fold], indent=2))
+
+
+def _class_name(names: Sequence[str], label: int) -> str:
+    """The name of a label, with its number where others have the same one."""
+    return f"{names[label]}_{label}" if label and names.count(names[label]) > 1 else names[label]
 
 
 def _name(frame: int) -> str:

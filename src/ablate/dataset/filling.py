@@ -19,7 +19,8 @@ from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
 from ablate.networks.spec import OF_SURFACES
 from ablate.storage import remove_partial, written_whole
 
-_WAIT_S, _LINES = 1.0, 10
+_WAIT_S = 1.0
+_LINES = 10  # about how many are written where there is no terminal
 #: Makes the wanted maps of some frames.
 MakeFrames = Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]
 
@@ -37,28 +38,43 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     full disk; those before it stay.
     """
     with FileLock(pairs.folder / ".create.lock"):
-        for left in pairs.folder.glob("pairs.zarr/*/*.partial"):
-            left.unlink()
+        for half_written in pairs.folder.glob("pairs.zarr/*/*.partial"):
+            half_written.unlink()
         group = zarr.open_group(pairs.folder / "pairs.zarr", mode="a", zarr_format=3)
         for name in sorted(maps - pairs.maps):
             group.create_array(name, **frame_array(name, len(pairs), pairs.stored_shape, pairs.shard))
     for shard in pairs.missing(maps):
-        with _claimed(pairs, shard) as mine:
-            if mine and (names := pairs.missing_in_shard(shard, maps)):
+        with _claimed(pairs, shard) as claimed:
+            names = pairs.missing_in_shard(shard, maps) if claimed else frozenset()
+            if names:
                 frames = pairs.frames_of_shard(shard)
-                made = make(frames, names)
+                stacks = make(frames, names)
                 for name in sorted(names):
-                    _write(pairs, name, shard, made[name])
+                    _write(pairs, name, shard, stacks[name])
                 yield len(frames)
 
 
 def fill_all(pairs: Pairs, maps: frozenset[str], what: str, fill: Callable[[], Iterator[int]]) -> int:
-    """Call `fill`, such as `fill_pairs`, until nothing is missing, and return the number of frames that it made.
+    """Fill a data set until nothing is missing; what other processes make meanwhile is waited for.
 
-    A bar called `what` grows by them; where there is no terminal, a line is written about every tenth. What other
-    processes make meanwhile is waited for.
+    Parameters
+    ----------
+    pairs : Pairs
+        The data set.
+    maps : frozenset of str
+        Those that are wanted.
+    what : str
+        Stands at a bar that grows by the frames; where there is no terminal, a line is written about every tenth.
+    fill : callable
+        Makes what is missing, as `fill_pairs` does, and yields numbers of frames.
+
+    Returns
+    -------
+    int
+        How many frames `fill` made.
     """
-    todo, made = sum(len(pairs.frames_of_shard(shard)) for shard in pairs.missing(maps)), 0
+    todo = sum(len(pairs.frames_of_shard(shard)) for shard in pairs.missing(maps))
+    made = 0
     with tqdm(total=todo, unit="frame", desc=what, mininterval=1.0, disable=None) as bar:
         while pairs.missing(maps):
             before = made
@@ -74,7 +90,19 @@ def fill_all(pairs: Pairs, maps: frozenset[str], what: str, fill: Callable[[], I
 
 
 def frame_array(name: str, frames: int, shape: tuple[int, int], slots: int) -> dict[str, object]:
-    """Arguments of `create_array` for the frames (n, H, W) of a map, `slots` of them a shard."""
+    """Arguments of `create_array` for the frames of a map.
+
+    Parameters
+    ----------
+    name : str
+        Of the map, a key of `FORMATS`.
+    frames : int
+        How many there are.
+    shape : (H, W)
+        Of a frame.
+    slots : int
+        Frames in a shard.
+    """
     dtype, shuffle = FORMATS[name]
     packed = BloscCodec(cname="zstd", clevel=3, shuffle=shuffle, typesize=np.dtype(dtype).itemsize)
     return {
@@ -88,10 +116,25 @@ def frame_array(name: str, frames: int, shape: tuple[int, int], slots: int) -> d
 
 
 def write_shard(path: Path, name: str, stack: np.ndarray, slots: int) -> None:
-    """Write the first frames of a map, (n, H, W), of a shard that has room for `slots`: whole, or not at all.
+    """Write a shard whole, or not at all; what others left half-written is removed.
 
-    Only one process at a time may write a shard; what others left half-written is removed. On a full disk OSError is
-    raised and nothing is left.
+    Only one process at a time may write a shard.
+
+    Parameters
+    ----------
+    path : Path
+        Of the shard.
+    name : str
+        Of the map, a key of `FORMATS`.
+    stack : (n, H, W)
+        The first frames of the shard, in the type in which they are stored.
+    slots : int
+        Frames for which the shard has room.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written, as on a full disk; nothing is left then.
     """
     encoded: dict[str, Any] = {}
     zarr.create_array(MemoryStore(encoded), **frame_array(name, len(stack), stack.shape[1:], slots))[...] = stack
@@ -105,8 +148,8 @@ def unclaimed(pairs: Pairs, maps: frozenset[str]) -> int:
     """How many shards are missing that nobody is making at the moment."""
     count = 0
     for shard in pairs.missing(maps):
-        with _claimed(pairs, shard) as mine:
-            count += mine
+        with _claimed(pairs, shard) as claimed:
+            count += claimed
     return count
 
 
@@ -117,8 +160,8 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
     """
     errors = []
     for shard in tqdm(range(pairs.shards), unit="shard", desc="check", mininterval=1.0, leave=False, disable=None):
-        with _claimed(pairs, shard) as mine:
-            for name in sorted(maps) if mine else ():
+        with _claimed(pairs, shard) as claimed:
+            for name in sorted(maps) if claimed else ():
                 try:
                     with suppress(FileNotFoundError):
                         pairs.stored(name, pairs.frames_of_shard(shard), pairs.space)

@@ -14,19 +14,37 @@ FrameMaps = tuple[np.ndarray, np.ndarray, Beam]
 def maps_read(
     names: Sequence[str], space: Space, maps: FrameMaps, probe: Probe, tgc: float | Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """The maps of these names in one space, (H, W) or (rows, scanlines) each, from those of one simulated frame.
+    """The maps that a generator reads, from those of one simulated frame; `low` is not made.
 
-    Given are S and A of the image and the frame in beam space, of this probe and time gain. `low` is not made.
+    Parameters
+    ----------
+    names : sequence of str
+        Of the maps.
+    space : Space
+        In which they are wanted.
+    maps : FrameMaps
+        S and A of the image, and the frame in beam space.
+    probe : Probe
+        That of the frame.
+    tgc : float or sequence of float
+        Time gain of the frame, dB/cm/MHz or a curve.
+
+    Returns
+    -------
+    dict of str to (H, W) or (rows, scanlines)
+        By name, in the order of the names.
     """
-    segmentation, attenuation, beam = maps
-    image_shape, beam_shape = segmentation.shape[:2], beam.segmentation.shape[:2]
+    of_image, attenuation_of_image, beam = maps
+    image_shape = of_image.shape[:2]
+    beam_shape = beam.segmentation.shape[:2]
     in_beam = Space(space) is Space.beam
-    if in_beam:
-        segmentation, attenuation = beam.segmentation, beam.attenuation
-    read = {"segmentation": segmentation, "attenuation": attenuation}
+    read = {
+        "segmentation": beam.segmentation if in_beam else of_image,
+        "attenuation": beam.attenuation if in_beam else attenuation_of_image,
+    }
     if "compensated" in names:
         compensate = compensated_beam if in_beam else compensated_attenuation
-        read["compensated"] = compensate(attenuation, probe, tgc)
+        read["compensated"] = compensate(read["attenuation"], probe, tgc)
     for name in OF_SURFACES & set(names):
         echo = getattr(beam, name)
         read[name] = echo if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(echo)

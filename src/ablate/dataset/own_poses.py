@@ -20,7 +20,8 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
     `key` stands in messages. A FileNotFoundError or ValueError, when the file is missing or holds something else, or a
     pose is not rigid, names file and row.
     """
-    path, where = Path(path), f"{key}={path}"
+    path = Path(path)
+    where = f"{key}={path}"
     if path.suffix.lower() not in (".npy", ".csv"):
         raise ValueError(f"{where}: allowed are .npy and .csv")
     if not path.is_file():
@@ -47,7 +48,8 @@ def _of_csv(path: Path) -> tuple[np.ndarray, np.ndarray]:
     from scipy.spatial.transform import Rotation
 
     rows = csv_rows(path, COLUMNS, ("site",))
-    poses, sites = np.tile(np.eye(4), (len(rows), 1, 1)), np.arange(len(rows), dtype=np.int64)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    sites = np.arange(len(rows), dtype=np.int64)
     for i, (line, row) in enumerate(rows):
         try:
             x, y, z, *quaternion = (float(row[name]) for name in COLUMNS)

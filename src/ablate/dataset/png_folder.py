@@ -15,35 +15,51 @@ from pathlib import Path
 import numpy as np
 from skimage.io import imread
 
-from ablate.anatomy import Tissue, load_tissues
-from ablate.anatomy.scene_values import csv_rows, mapping, one_of, read_yaml
+from ablate.anatomy import Tissue
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.split import Part
-from ablate.setting import naming, plain
+from ablate.dataset.png_tables import MOST_LABELS, probe_of_fan, sites_and_parts, tissues_of_labels
 from ablate.storage import digest, digest_of_files
-from ablate.ultrasound.settings import PROBE_KEYS, Probe, probe_from
+from ablate.ultrasound.settings import Probe
 
 #: Folder of each map of a data set.
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
 _TABLES = ("labels.csv", "frames.csv", "fan.yaml")
-MOST_LABELS = 254
 MOST_PIXELS = 2**24  # 4096 x 4096; a PNG of a few bytes can decode to gigabytes
 _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "RGBA"}
 
 
 @dataclass(frozen=True, eq=False)
 class PngFolder:
-    """A folder that fits together."""
+    """A folder that fits together.
+
+    Attributes
+    ----------
+    folder : Path
+    names : tuple of str
+        Of the frames, sorted: file names without `.png`.
+    files : dict of dict of Path
+        By map in a data set, of `FOLDERS` those that are there, and by frame.
+    shape : (H, W)
+        Of the images.
+    sites : tuple of str
+        Of each frame; those of one site see almost the same, and stay on one side of a split.
+    parts : (n,) uint8 of `Part`, or None
+        None where the split is to be drawn.
+    tissues : tuple of Tissue, or None
+        Behind labels 1, 2, ...; None where no file names them.
+    probe : Probe or None
+        With the geometry of the fan; None where no file tells it.
+    """
 
     folder: Path
-    names: tuple[str, ...]  # of the frames, sorted; file names without `.png`
-    files: Mapping[str, Mapping[str, Path]]  # by map in a data set (of FOLDERS, those that are there), and by frame
+    names: tuple[str, ...]
+    files: Mapping[str, Mapping[str, Path]]
     shape: tuple[int, int]
-    sites: tuple[str, ...]  # of each frame: those of one site see almost the same, and stay on one side of a split
-    parts: np.ndarray | None  # (n,) uint8 of `Part`; None where the split is to be drawn
-    tissues: tuple[Tissue, ...] | None  # behind labels 1, 2, ...; None where no file names them
-    probe: Probe | None  # with the geometry of the fan; None where no file tells it
+    sites: tuple[str, ...]
+    parts: np.ndarray | None
+    tissues: tuple[Tissue, ...] | None
+    probe: Probe | None
 
     @property
     def beam_shape(self) -> tuple[int, int]:
@@ -80,35 +96,51 @@ def validate_png_folder(folder: str | Path) -> PngFolder:
 @lru_cache(maxsize=8)
 def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
     """Looked at once a process for as long as no file comes or goes and no table changes."""
-    files = {
-        name: {path.stem: path for path in sorted((folder / place).iterdir()) if path.suffix.lower() == ".png"}
-        for name, place in FOLDERS.items()
-        if (folder / place).is_dir()
-    }
-    everything = set().union(*files.values())
-    for name, by_name in files.items():
-        if not by_name:
+    files = {name: _pngs(folder / place) for name, place in FOLDERS.items() if (folder / place).is_dir()}
+    names = tuple(sorted(set().union(*files.values())))
+    for name, by_frame in files.items():
+        if not by_frame:
             raise FileNotFoundError(f"{folder / FOLDERS[name]}: no PNG in it; JPEG is not read, as it changes labels")
-        if missing := sorted(everything - by_name.keys()):
-            partner = next(there[missing[0]] for there in files.values() if missing[0] in there)
+        missing = [frame for frame in names if frame not in by_frame]
+        if missing:
+            partner = next(others[missing[0]] for others in files.values() if missing[0] in others)
             more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
             path = folder / FOLDERS[name] / f"{missing[0]}.png"
             raise FileNotFoundError(f"{path}: missing{more}, though its partner {partner} is there")
-    names = tuple(sorted(everything))
-    first = files["segmentation"][names[0]]
+    shape = _common_shape(files, names[0])
+    sites, parts = sites_and_parts(folder / "frames.csv", names)
+    return PngFolder(
+        folder=folder,
+        names=names,
+        files=files,
+        shape=shape,
+        sites=sites,
+        parts=parts,
+        tissues=tissues_of_labels(folder / "labels.csv"),
+        probe=probe_of_fan(folder / "fan.yaml"),
+    )
+
+
+def _pngs(folder: Path) -> dict[str, Path]:
+    """The PNGs of a folder by the name of their frame."""
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() == ".png"}
+
+
+def _common_shape(files: Mapping[str, Mapping[str, Path]], first_frame: str) -> tuple[int, int]:
+    """The size of all images, (H, W), by their headers; a ValueError where one differs or is not grey as allowed."""
+    first = files["segmentation"][first_frame]
     shape, _, _ = _header(first)
-    for name, path in ((name, path) for name, by_name in files.items() for path in by_name.values()):
-        (height, width), bits, colour = _header(path)
+    for name, by_frame in files.items():
         allowed = (8, 16) if name == "attenuation" else (8,)
-        if colour != 0 or bits not in allowed:
-            kind = f"{bits}-bit {_COLOURS.get(colour, 'of an unknown kind')}"
-            raise ValueError(f"{path}: is {kind}; allowed is {' or '.join(f'{b}-bit' for b in allowed)} grey")
-        if (height, width) != shape:
-            here, there = f"{width} x {height} px", f"{shape[1]} x {shape[0]}"
-            raise ValueError(f"{path}: is {here}, but {first} is {there}; all must have one size")
-    sites, parts = _frames(folder / "frames.csv", names)
-    tissues, probe = _tissues(folder / "labels.csv"), _fan(folder / "fan.yaml")
-    return PngFolder(folder, names, files, shape, sites, parts, tissues, probe)
+        for path in by_frame.values():
+            (height, width), bits, colour = _header(path)
+            if colour != 0 or bits not in allowed:
+                kind = f"{bits}-bit {_COLOURS.get(colour, 'of an unknown kind')}"
+                raise ValueError(f"{path}: is {kind}; allowed is {' or '.join(f'{b}-bit' for b in allowed)} grey")
+            if (height, width) != shape:
+                size = f"{width} x {height} px"
+                raise ValueError(f"{path}: is {size}, but {first} is {shape[1]} x {shape[0]}; all must have one size")
+    return shape
 
 
 def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
@@ -126,7 +158,8 @@ def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
         if highest > allowed:
             why = "" if checked.tissues is None else f", those that {checked.folder / 'labels.csv'} names"
             raise ValueError(f"{path}: has label {highest}; allowed are 0, outside the fan, to {allowed}{why}")
-        if differs := int(np.count_nonzero((labels > 0) != mask)):
+        differs = int(np.count_nonzero((labels > 0) != mask))
+        if differs:
             raise ValueError(
                 f"{path}: its fan, the pixels that are not 0, differs at {differs} of {labels.size} pixels from "
                 f"that of {paths[0]}; all frames must have one fan"
@@ -139,14 +172,31 @@ def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
 def import_pairs(checked: PngFolder, names: Sequence[str], pairs: Pairs, maps: frozenset[str]) -> None:
     """Fill what is missing of a data set from the PNGs; what lies outside the fan becomes 0.
 
-    `names` are those of the frames, in the order of the data set; `maps` are some of `checked.maps`. A ValueError when
-    a file cannot be decoded, an OSError when a shard cannot be written.
+    Parameters
+    ----------
+    checked : PngFolder
+        The folder.
+    names : sequence of str
+        Of the frames, in the order of the data set.
+    pairs : Pairs
+        The data set.
+    maps : frozenset of str
+        Some of `checked.maps`.
+
+    Raises
+    ------
+    ValueError
+        When a file cannot be decoded.
+    OSError
+        When a shard cannot be written.
     """
     mask = pairs.mask()
 
     def image(name: str, frame: int) -> np.ndarray:
         decoded = mask * _decoded(checked.files[name][names[frame]], checked.shape)
-        return np.uint16(257) * decoded if name == "attenuation" and decoded.dtype == np.uint8 else decoded
+        if name == "attenuation" and decoded.dtype == np.uint8:
+            return np.uint16(257) * decoded  # 255 becomes 65535
+        return decoded
 
     def read(frames: np.ndarray, wanted: frozenset[str]) -> Mapping[str, np.ndarray]:
         return {name: np.stack([image(name, frame) for frame in frames]) for name in wanted}
@@ -193,65 +243,3 @@ def _header(path: Path) -> tuple[tuple[int, int], int, int]:
     if not 0 < width * height <= MOST_PIXELS:
         raise ValueError(f"{path}: is {width} x {height} px; allowed are 1 to {MOST_PIXELS} pixels")
     return (height, width), bits, colour
-
-
-def _frames(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...], np.ndarray | None]:
-    """Site and part of every frame; without the table a site is what stands before the last `_` of a name."""
-    if not path.exists():
-        return tuple(name.rpartition("_")[0] or name for name in names), None
-    known, allowed = set(names), ", ".join(Part.__members__)
-    rows: dict[str, dict[str, str]] = {}
-    for where, row in csv_rows(path, ("name", "site"), ("part",)):
-        name = row["name"].removesuffix(".png")
-        if name not in known:
-            raise ValueError(f"{where}: there is no frame '{name}'")
-        if name in rows:
-            raise ValueError(f"{where}: frame '{name}' is listed twice")
-        if not row["site"]:
-            raise ValueError(f"{where}: no site; any word will do")
-        one_of(row.get("part", "train"), Part.__members__, f"{where}: part")
-        rows[name] = row
-    if missing := [name for name in names if name not in rows]:
-        raise ValueError(f"{path}: {len(missing)} frames are not listed, the first is '{missing[0]}'")
-    sites = tuple(rows[name]["site"] for name in names)
-    if "part" not in rows[names[0]]:
-        return sites, None
-    parts = np.array([Part[rows[name]["part"]] for name in names], np.uint8)
-    if empty := [part.name for part in Part if part not in parts]:
-        raise ValueError(f"{path}: no frame is in part {empty[0]}; each of {allowed} needs one")
-    return sites, parts
-
-
-def _tissues(path: Path) -> tuple[Tissue, ...] | None:
-    """The tissue of the built-in table behind each label."""
-    if not path.exists():
-        return None
-    known = load_tissues()
-    tissues: dict[int, Tissue] = {}
-    for where, row in csv_rows(path, ("label", "tissue")):
-        if not row["label"].isdecimal() or not 1 <= int(row["label"]) <= MOST_LABELS:
-            raise ValueError(f"{where}: label '{row['label']}'; allowed are 1 to {MOST_LABELS}")
-        one_of(row["tissue"], known, f"{where}: tissue")
-        if int(row["label"]) in tissues:
-            raise ValueError(f"{where}: label {row['label']} is listed twice")
-        tissues[int(row["label"])] = known[row["tissue"]]
-    if sorted(tissues) != list(range(1, len(tissues) + 1)) or not tissues:
-        raise ValueError(f"{path}: the labels must be 1, 2, ... without a gap, not {sorted(tissues)}")
-    return tuple(tissues[label] for label in sorted(tissues))
-
-
-def _fan(path: Path) -> Probe | None:
-    """The probe whose fan the images are of: its kind and every length and angle, whatever its frequency."""
-    if not path.exists():
-        return None
-    given = mapping(read_yaml(path), f"{path}", ("kind", *PROBE_KEYS))
-    with naming(f"{path}: ", (ValueError, TypeError)):
-        probe = probe_from(given)
-    if missing := [name for name in fan_values(probe) if given.get(name) is None]:  # a default would be a guess
-        raise ValueError(f"{path}: no {missing[0]}; a {probe.kind} fan has {', '.join(fan_values(probe))}")
-    return probe
-
-
-def fan_values(probe: Probe) -> dict[str, str | float]:
-    """What `fan.yaml` holds of a probe."""
-    return {name: value for name, value in plain(probe).items() if name != "frequency_mhz"}

@@ -46,7 +46,8 @@ class Recipe:
 
 def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
-    of_target, of_low = recipe.settings, replace(recipe.settings, rays=1, layers=1)
+    of_target = recipe.settings
+    of_low = replace(recipe.settings, rays=1, layers=1)
     again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
 
     @cache
@@ -54,31 +55,54 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
         return Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses)
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
-        out: dict[str, np.ndarray] = {}
-        for k, frame in enumerate(frames):
+        stacks: dict[str, np.ndarray] = {}
+        for place, frame in enumerate(frames):
             pose = pairs.poses[frame]
-            made: dict[str, np.ndarray] = {}
+            rendered: dict[str, np.ndarray] = {}
             if maps & _WITHOUT_IMAGE:
                 beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES))
-                made = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
+                rendered = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
             if "target" in maps:
-                made["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
+                rendered["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
-                made["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
+                rendered["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
             if "low" in maps:
-                made["low"] = simulator(of_low).beam_image(pose, seed=recipe.seed)
-            for name, value in made.items():
-                out.setdefault(name, np.zeros((len(frames), *value.shape), value.dtype))[k] = value
-        return out | {name: np.zeros((len(frames), *pairs.stored_shape), np.uint8) for name in maps - out.keys()}
+                rendered["low"] = simulator(of_low).beam_image(pose, seed=recipe.seed)
+            for name, values in rendered.items():
+                if name not in stacks:
+                    stacks[name] = np.zeros((len(frames), *values.shape), values.dtype)
+                stacks[name][place] = values
+        black = np.zeros((len(frames), *pairs.stored_shape), np.uint8)
+        return stacks | dict.fromkeys(maps - stacks.keys(), black)
 
     return render
 
 
 def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0) -> int:
-    """Fill what is missing of a data set and return the number of frames that this call made.
+    """Fill what is missing of a data set; shards that another process makes meanwhile are waited for.
 
-    Shards that another process makes meanwhile are waited for. There are `workers` processes, one a core if it is 0.
-    An OSError when a shard cannot be written, as on a full disk; a RuntimeError when a worker process dies.
+    Parameters
+    ----------
+    recipe : Recipe
+        What every frame is made with.
+    pairs : Pairs
+        The data set.
+    maps : frozenset of str
+        Those that are wanted.
+    workers : int
+        How many processes make them; 0 is one a core.
+
+    Returns
+    -------
+    int
+        How many frames this call made.
+
+    Raises
+    ------
+    OSError
+        When a shard cannot be written, as on a full disk.
+    RuntimeError
+        When a worker process dies.
     """
 
     def fill() -> Iterator[int]:
@@ -93,27 +117,24 @@ def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: 
 
 def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int) -> Iterator[int]:
     context = multiprocessing.get_context("spawn")
-    told: multiprocessing.Queue[int | OSError] = context.Queue()
-    arguments = recipe, pairs, maps, told
+    results: multiprocessing.Queue[int | OSError] = context.Queue()
+    arguments = (recipe, pairs, maps, results)
     processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
     try:
         with interrupts_blocked():  # Ctrl-C reaches every process of a terminal; the parent ends its workers
             for process in processes:
                 process.start()
         alive = True
-        while alive or not told.empty():
+        while alive or not results.empty():
             alive = any(process.is_alive() for process in processes)
             with suppress(queue.Empty):
-                made = told.get(timeout=0.2)
-                if isinstance(made, OSError):
-                    raise made
-                yield made
-            for code in (process.exitcode for process in processes if process.exitcode):
-                ended = f"ended with code {code}; its error is printed above"
-                if code < 0:
-                    often = "SIGKILL is often the system's, out of memory: try fewer dataset.workers"
-                    ended = f"was ended by {signal.Signals(-code).name}; {often}"
-                raise RuntimeError(f"a simulation process {ended}")
+                frames = results.get(timeout=0.2)
+                if isinstance(frames, OSError):
+                    raise frames
+                yield frames
+            for process in processes:
+                if process.exitcode:
+                    raise RuntimeError(f"a simulation process {_ended(process.exitcode)}")
     finally:
         for process in processes:
             if process.pid is not None:
@@ -121,7 +142,15 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
                 process.join()
 
 
-def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocessing.Queue[int | OSError]) -> None:
+def _ended(code: int) -> str:
+    """How a process ended, from its exit code."""
+    if code > 0:
+        return f"ended with code {code}; its error is printed above"
+    often = "SIGKILL is often the system's, out of memory: try fewer dataset.workers"
+    return f"was ended by {signal.Signals(-code).name}; {often}"
+
+
+def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], results: multiprocessing.Queue[int | OSError]) -> None:
     import torch
 
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what is half-written is removed
@@ -129,45 +158,73 @@ def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocess
     torch.set_num_threads(1)
     try:
         for frames in fill_pairs(pairs, maps, frame_simulator(recipe, pairs)):
-            told.put(frames)
+            results.put(frames)
     except OSError as error:
-        told.put(error)
+        results.put(error)
 
 
-def timed_maps(scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray) -> Callable[..., Timed]:
-    """A function of a pose that was not the last one, a seed, names and a space: maps, and the milliseconds of each.
+def timed_maps(
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray
+) -> Callable[[np.ndarray, int, Sequence[str], Space], Timed]:
+    """A function that makes the maps of a frame and measures how long each takes.
 
-    They are the maps of these names, (H, W) or (rows, scanlines), as `maps_read` gives them, and `low`, uint8. Labels
-    and interfaces have the time of their stages, or their share where some ran side by side, and other maps the rest.
+    Parameters
+    ----------
+    scene : Scene
+        What is simulated.
+    probe : Probe
+    settings : SimulatorSettings
+        Those of the target; the low-quality image differs in rays and layers alone.
+    poses : (n, 4, 4) float, mm
+        Those that may be asked for, probe to world; they decide what of the scene is needed.
+
+    Returns
+    -------
+    callable
+        Given a pose that was not the last one, the seed of the scatterers, names and a space, it gives the maps of
+        these names, (H, W) or (rows, scanlines), as `maps_read` does, and `low`, uint8; and the milliseconds of each.
+        Labels and interfaces have the time of their stages, or their share where some ran side by side, and other maps
+        the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
-    of_low = cache(lambda: Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses))
+    simulator_of_low = cache(lambda: Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses))
     nothing = np.zeros(settings.image_shape, np.uint8)
 
     def make(pose: np.ndarray, seed: int, names: Sequence[str], space: Space) -> Timed:
-        with stage_times() as taken:
+        of_image = space is Space.image
+        with stage_times() as stages:
             start = time.perf_counter()
             beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)))
-            shown = simulator.maps(pose) if space is Space.image else (nothing, nothing)
-            made = maps_read(names, space, (*shown, beam), probe, settings.time_gain)
-            ms = 1e3 * (time.perf_counter() - start)
-        own = {
-            "segmentation": taken[Stage.pixel_labels if space is Space.image else Stage.attenuation_labels],
-            "interfaces": [ms for each in Stage if each not in _OF_LABELS for ms in taken[each]],
-        }
-        at_once = max(1.0, sum(map(sum, taken.values())) / ms)
-        times = {name: sum(own[name]) / at_once for name in own if name in names}
-        rest = next((name for name in ("attenuation", "compensated", "illumination") if name in names), "")
-        if rest:
-            times[rest] = ms - sum(times.values())
+            segmentation, attenuation = simulator.maps(pose) if of_image else (nothing, nothing)
+            maps = maps_read(names, space, (segmentation, attenuation, beam), probe, settings.time_gain)
+            whole_ms = 1e3 * (time.perf_counter() - start)
+        times = _shares(stages, whole_ms, names, space)
         if "low" in names:
-            simulate = of_low()
+            low = simulator_of_low()
             start = time.perf_counter()
-            made["low"] = simulate.image(pose, seed) if space is Space.image else simulate.beam_image(pose, seed)
+            maps["low"] = low.image(pose, seed) if of_image else low.beam_image(pose, seed)
             times["low"] = 1e3 * (time.perf_counter() - start)
-        return made, times
+        return maps, times
 
     return make
+
+
+def _shares(
+    stages: Mapping[str, Sequence[float]], whole_ms: float, names: Sequence[str], space: Space
+) -> dict[str, float]:
+    """The milliseconds of each map but `low`, from those of the stages that made them."""
+    of_labels = Stage.pixel_labels if space is Space.image else Stage.attenuation_labels
+    of_maps = {
+        "segmentation": sum(stages[of_labels]),
+        "interfaces": sum(ms for stage in Stage if stage not in _OF_LABELS for ms in stages[stage]),
+    }
+    at_once = max(1.0, sum(map(sum, stages.values())) / whole_ms)
+    times = {name: ms / at_once for name, ms in of_maps.items() if name in names}
+    for name in ("attenuation", "compensated", "illumination"):
+        if name in names:
+            times[name] = whole_ms - sum(times.values())
+            break
+    return times
 
 
 def nudged(pose: np.ndarray, times: int = 1) -> np.ndarray:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -58,9 +59,21 @@ class Skin:
     def contact(
         self, height_mm: float, angle: float, axis: np.ndarray, front: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Skin point and inward normal, from nine parallel rays around a site; None where the middle one misses.
+        """Skin point and inward normal of a site, from nine parallel rays around it.
 
-        The site is at a height along the body's `axis` and an angle about it, rad, from its `front`, both unit vectors.
+        Parameters
+        ----------
+        height_mm : float
+            Of the site along the body's axis.
+        angle : float, rad
+            Of the site about the axis, from the front.
+        axis, front : (3,) float
+            Unit vectors of the body.
+
+        Returns
+        -------
+        (3,) float, mm, and (3,) float, or None
+            None where the middle ray misses.
         """
         middle = self.centre + axis * (height_mm - self.centre @ axis)
         outward = np.cos(angle) * front + np.sin(angle) * np.cross(axis, front)
@@ -82,23 +95,38 @@ class Skin:
 def press(
     skin: Skin, probe: Probe, poses: np.ndarray, approaches: np.ndarray, press_mm: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Move probes, (n, 4, 4), mm, along their approach until the deepest point of each face is `press_mm` in the skin.
+    """Move probes along their approach until the deepest point of each face lies in the skin.
 
-    `approaches`, (n, 3), are unit vectors into the body; a probe's own z may be tilted against its approach. Returns
-    the poses, (n, 4, 4) float64, and for each whether all of the face has body before it and whether any of it lies in
-    bone or gas, (n,) bool each.
+    Parameters
+    ----------
+    skin : Skin
+    probe : Probe
+    poses : (n, 4, 4) float, mm
+        Probe to world.
+    approaches : (n, 3) float
+        Unit vectors into the body; a probe's own z may be tilted against its approach.
+    press_mm : float
+        How deep that point lies.
+
+    Returns
+    -------
+    poses : (n, 4, 4) float64, mm
+    on_body : (n,) bool
+        Whether all of the face has body before it.
+    hard : (n,) bool
+        Whether any of it lies in bone or gas.
     """
     if not np.isfinite(press_mm):
         raise ValueError(f"press_mm={press_mm}: allowed are finite numbers")
     face = face_points(probe)
-    n, k = len(poses), len(face)
-    directions = np.repeat(approaches, k, axis=0)
-    depth = skin.depth(_in_world(poses, face), directions).reshape(n, k)
+    shape = (len(poses), len(face))
+    directions = np.repeat(approaches, len(face), axis=0)
+    depth = skin.depth(_in_world(poses, face), directions).reshape(shape)
     on_body = np.isfinite(depth).all(axis=1)
     deepest = depth.max(axis=1)
     pressed = poses.copy()
     pressed[:, :3, 3] += np.where(np.isfinite(deepest), press_mm - deepest, 0.0)[:, None] * approaches
-    hard = skin.hard_at(_in_world(pressed, face), directions).reshape(n, k)
+    hard = skin.hard_at(_in_world(pressed, face), directions).reshape(shape)
     return pressed, on_body, np.asarray(hard.any(axis=1))
 
 
@@ -149,7 +177,8 @@ def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
         given = np.asarray(getattr(grid, name), float)
         if name in ("angles_deg", "rolls_deg") and (np.diff(given) < 0).any():
             given = np.unwrap(given, period=360)
-        lower, upper = min(given), max(given)
+        lower = min(given)
+        upper = max(given)
         places = np.linspace(lower, upper, count) if count > 1 else [(lower + upper) / 2]
         spread[name] = tuple(np.unique(places).tolist())
     return replace(grid, **spread)
@@ -160,33 +189,39 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
 
     The probe comes from outside along the mean inward normal of the skin around the point where a ray towards the
     body's axis first meets it, rolled and tilted, until the deepest part of its face lies `press_mm` under the
-    undeformed skin. The skin is the first surface met, of whichever structure. A ValueError when the scene has no
-    structure, lacks one that `grid.region` names, or no pose is left.
+    undeformed skin. The skin is the first surface met, of whichever structure.
+
+    Parameters
+    ----------
+    scene : Scene
+    grid : SiteGrid
+        Heights, angles, tilts and rolls, and the region that a fan must meet.
+    press_mm : float
+    probe : Probe, optional
+        `ConvexProbe()` without it.
+
+    Raises
+    ------
+    ValueError
+        When the scene has no structure, lacks one that `grid.region` names, or no pose is left.
     """
     if not scene.structures:
         raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")
     probe = probe or ConvexProbe()
-    skin, region = Skin(scene), _region(scene, grid)
-    axis = unitize(np.asarray(grid.axis, float))
-    front = np.asarray(grid.front, float)
-    front = unitize(front - axis * (front @ axis))
-    turns = [(tilt, roll) for tilt in grid.tilts_deg for roll in grid.rolls_deg]
-    placed: list[tuple[np.ndarray, np.ndarray, int]] = []  # pose, approach, site
-    places = [(height, angle) for height in grid.heights_mm for angle in np.deg2rad(grid.angles_deg)]
-    for site, (height, angle) in enumerate(places):
-        if (contact := skin.contact(height, angle, axis, front)) is not None:
-            point, inward = contact
-            placed += [(turned_pose(point, inward, axis, tilt, roll), inward, site) for tilt, roll in turns]
+    skin = Skin(scene)
+    region = _region(scene, grid)
+    started, approaches, sites = _on_skin(skin, grid)
     dropped = dict.fromkeys(Dropped, 0)
-    dropped[Dropped.no_skin] = len(places) * len(turns) - len(placed)
-    poses, sites, kept = np.empty((0, 4, 4)), np.empty(0, np.int64), np.ones(len(placed), bool)
-    if placed:
-        started, approaches, sites = (np.array(column) for column in zip(*placed, strict=True))
+    asked_for = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+    dropped[Dropped.no_skin] = asked_for - len(sites)
+    kept = np.ones(len(sites), bool)
+    poses = started
+    if len(sites):
         poses, on_body, hard = press(skin, probe, started, approaches, press_mm)
-        reasons = [(Dropped.off_body, ~on_body), (Dropped.hard, hard)]
+        reasons = {Dropped.off_body: ~on_body, Dropped.hard: hard}
         if region is not None:
-            reasons.append((Dropped.off_region, ~region.seen_from(probe, poses)))
-        for reason, holds in reasons:
+            reasons[Dropped.off_region] = ~region.seen_from(probe, poses)
+        for reason, holds in reasons.items():
             dropped[reason] = int((kept & holds).sum())
             kept &= ~holds
     placement = Placement(poses[kept], sites[kept], dropped)
@@ -195,6 +230,26 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
             f"scene '{scene.name}': no probe pose can be used; check sites.heights and sites.angles ({placement})"
         )
     return placement
+
+
+def _on_skin(skin: Skin, grid: SiteGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses on the skin, (n, 4, 4), approaches, (n, 3), and sites, (n,) int64, of a grid where its rays meet skin."""
+    axis = unitize(np.asarray(grid.axis, float))
+    front = np.asarray(grid.front, float)
+    front = unitize(front - axis * (front @ axis))
+    poses: list[np.ndarray] = []
+    approaches: list[np.ndarray] = []
+    sites: list[int] = []
+    for site, (height, angle) in enumerate(product(grid.heights_mm, np.deg2rad(grid.angles_deg))):
+        contact = skin.contact(height, angle, axis, front)
+        if contact is None:
+            continue
+        point, inward = contact
+        for tilt, roll in product(grid.tilts_deg, grid.rolls_deg):
+            poses.append(turned_pose(point, inward, axis, tilt, roll))
+            approaches.append(inward)
+            sites.append(site)
+    return np.reshape(poses, (-1, 4, 4)), np.reshape(approaches, (-1, 3)), np.array(sites, np.int64)
 
 
 def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> np.ndarray:
@@ -217,11 +272,28 @@ def _region(scene: Scene, grid: SiteGrid) -> Skin | None:
 def turned_pose(
     point: np.ndarray, inward: np.ndarray, axis: np.ndarray, tilt: float = 0.0, roll: float = 0.0
 ) -> np.ndarray:
-    """Face's middle at `point`, z along `inward`, rolled about z (0: x = z cross axis), then tilted about y."""
-    x = unitize(np.cross(inward, axis))
-    y = np.cross(inward, x)
-    c, s = np.cos(np.deg2rad(roll)), np.sin(np.deg2rad(roll))
-    x, y = c * x + s * y, c * y - s * x
-    c, s = np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))
-    x, z = c * x - s * inward, c * inward + s * x
+    """The pose of a probe on the skin.
+
+    Parameters
+    ----------
+    point : (3,) float, mm
+        The middle of the face.
+    inward, axis : (3,) float
+        Unit vectors: z before the probe is tilted, and the long axis of the body.
+    tilt, roll : float, degrees
+        It is rolled about z, from x = z cross axis, and then tilted about y.
+
+    Returns
+    -------
+    (4, 4) float64, mm
+        Probe to world.
+    """
+    across = unitize(np.cross(inward, axis))
+    along = np.cross(inward, across)
+    rolled = np.deg2rad(roll)
+    x = np.cos(rolled) * across + np.sin(rolled) * along
+    y = np.cos(rolled) * along - np.sin(rolled) * across
+    tilted = np.deg2rad(tilt)
+    z = np.cos(tilted) * inward + np.sin(tilted) * x
+    x = np.cos(tilted) * x - np.sin(tilted) * inward
     return np.vstack([np.column_stack([x, y, z, point]), [0.0, 0.0, 0.0, 1.0]])

@@ -65,14 +65,31 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
 def split_frames(
     sites: Sequence[int] | np.ndarray, by: SplitBy, validation: float, test: float, seed: int
 ) -> np.ndarray:
-    """`Part` of every frame, (n,) uint8, from its site, (n,) int.
+    """Draw the part of every frame.
 
-    `validation` and `test` are fractions of the sites (or frames), of which each gets at least one. A ValueError when
-    that leaves nothing to train on.
+    Parameters
+    ----------
+    sites : (n,) int
+        Of each frame.
+    by : SplitBy
+        What is drawn, sites or frames.
+    validation, test : float
+        Fractions of the sites (or frames), of which each part gets at least one.
+    seed : int
+
+    Returns
+    -------
+    (n,) uint8 of `Part`
+
+    Raises
+    ------
+    ValueError
+        When nothing is left to train on.
     """
     member = np.asarray(sites) if SplitBy(by) is SplitBy.site else np.arange(len(sites))
     units = np.unique(member)
-    n_validation, n_test = (max(1, round(f * len(units))) for f in (validation, test))
+    n_validation = max(1, round(validation * len(units)))
+    n_test = max(1, round(test * len(units)))
     if n_validation + n_test >= len(units):
         raise ValueError(
             f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "

@@ -55,7 +55,8 @@ def _kept_scores(scorer: Scorer, part: Part) -> dict[str, Scores]:
     folder.mkdir(exist_ok=True)
     files = {name: folder / f"{part.name}-{_kept_as(scorer, metric)}.json" for name, metric in scorer.metrics.items()}
     with FileLock(folder / f"{part.name}.lock"):
-        of_metrics = {name: scores for name, file in files.items() if (scores := _read_kept(file)) is not None}
+        kept = {name: _read_kept(file) for name, file in files.items()}
+        of_metrics = {name: scores for name, scores in kept.items() if scores is not None}
         lacking = {name: metric for name, metric in scorer.metrics.items() if name not in of_metrics}
         if lacking:
             scored = _score_resimulation(replace(scorer, metrics=lacking), part)

@@ -171,8 +171,8 @@ class Scorer:
 
     def _score_frame(self, frame: int, draws: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
         """The metrics of one frame, and the speckle features of image and target where they are wanted."""
+        pair = self._pair(frame, draws[0])
         try:
-            pair = self._pair(frame, draws[0])
             values = evaluate_image(pair, [metric for metric in self.metrics.values() if not metric.of_draws])
             if len(draws) > 1:
                 of_draws = [metric for metric in self.metrics.values() if metric.of_draws]
@@ -183,8 +183,8 @@ class Scorer:
         in_order = {name: values[name] for name in self.metrics if name in values}
         if not with_texture:
             return in_order, (np.empty(0), np.empty(0))
-        images, targets = pair.prediction[None], pair.target[None]
-        return in_order, (speckle_features(images, self._mask), speckle_features(targets, self._mask))
+        of_image, of_target = (speckle_features(shown[None], self._mask) for shown in (pair.prediction, pair.target))
+        return in_order, (of_image, of_target)
 
     def _pair(self, frame: int, image: np.ndarray) -> Pair:
         """An image beside its target, with the maps that the data set has of the frame."""

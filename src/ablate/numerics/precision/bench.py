@@ -97,16 +97,23 @@ def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, 
     are.
     """
     errors: dict[str, list[float]] = {}
-    here, there = rendered.envelopes, reference.envelopes
-    if here is not None and there is not None and here.shape == there.shape:
-        errors[ENVELOPE] = [envelope_rms(a, b) for a, b in zip(here, there, strict=True)]
+    envelopes = rendered.envelopes
+    right = reference.envelopes
+    if envelopes is not None and right is not None and envelopes.shape == right.shape:
+        errors[ENVELOPE] = [envelope_rms(envelope, exact) for envelope, exact in zip(envelopes, right, strict=True)]
     shape = (reference.images.shape[1], reference.images.shape[2])
-    mask, pixel_mm = fan_mask(probe, shape), pixel_size_mm(probe, shape)
+    mask = fan_mask(probe, shape)
+    pixel_mm = pixel_size_mm(probe, shape)
     for image, target in zip(rendered.images, reference.images, strict=True):
         for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
             errors.setdefault(name, []).append(error)
-    finite = {name: [v for v in values if np.isfinite(v)] for name, values in errors.items()}
-    return {name: float(np.mean(finite[name])) if finite[name] else values[0] for name, values in errors.items()}
+    return {name: _finite_mean(values) for name, values in errors.items()}
+
+
+def _finite_mean(values: Sequence[float]) -> float:
+    """The mean of those that are finite; of none, the first."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else values[0]
 
 
 def relative_change(metric: str, error: float, other: float) -> float:

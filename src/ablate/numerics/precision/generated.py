@@ -48,7 +48,8 @@ def comparable_runs(job: Job) -> tuple[list[Training], str]:
         return [], f"no trained run in {results}: the simulator alone"
     same = [run for run in runs if run.identity["data"] == job.identity["data"]]
     fit = [run for run in same if run.checkpoint.exists()]
-    others, bare = len(runs) - len(same), len(same) - len(fit)
+    others = len(runs) - len(same)
+    bare = len(same) - len(fit)
     counts = [
         f"{len(fit)} trained run{'' if len(fit) == 1 else 's'}",
         f"{others} left out, they learned from other data" if others else "",
@@ -171,7 +172,8 @@ def _render(
     values = label_values(bench.scene.tissues, run.settings.encoding, run.settings.label_seed)
     device = next(generator.parameters()).device
     in_beam_space = generator.spec.space is Space.beam
-    image_shape, beam_shape = bench.simulator.image_shape, bench.simulator.beam_shape
+    image_shape = bench.simulator.image_shape
+    beam_shape = bench.simulator.beam_shape
     render = open_engine(generator, *(beam_shape if in_beam_space else image_shape), *execution)
     converter = scan_converter(bench.probe, beam_shape, image_shape)
     fan = np.ones(beam_shape, bool) if in_beam_space else converter.mask

@@ -27,10 +27,13 @@ from ablate.study.provenance import hardware
 from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
-#: Columns of `precision.csv` and of `details.csv`.
-POINTS, DETAILS = ["series", "setting", "ms", "metric", "error"], ["table", "series", "setting", "quantity", "value"]
+POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`
+DETAILS = ["table", "series", "setting", "quantity", "value"]  # and of `details.csv`
 BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
-_SAME, _OTHER, _RUN = "simulator, same speckle", "simulator, other speckle", "trained run"
+# Kinds of renderers in the table of budgets.
+_SAME = "simulator, same speckle"
+_OTHER = "simulator, other speckle"
+_RUN = "trained run"
 
 
 def precision(jobs: Sequence[Job]) -> int:
@@ -46,13 +49,11 @@ def precision(jobs: Sequence[Job]) -> int:
     folder = settings.results / "precision"
     try:
         with published_task(settings, folder) as view:
-            reference, *simulated = measure_simulator(bench)
-            generated = measure_generators(bench, schedule_of(runs, settings), settings, reference)
-            points, details = (
-                pd.DataFrame(a + b, columns=columns).astype({"setting": str})
-                for columns, a, b in zip((POINTS, DETAILS), simulated, generated, strict=True)
-            )
-            for path in _report(folder, bench, about, points, details, view):
+            reference, points, details = measure_simulator(bench)
+            more_points, more_details = measure_generators(bench, schedule_of(runs, settings), settings, reference)
+            errors = pd.DataFrame(points + more_points, columns=POINTS).astype({"setting": str})
+            more = pd.DataFrame(details + more_details, columns=DETAILS).astype({"setting": str})
+            for path in _report(folder, bench, about, errors, more, view):
                 print(path)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command measures everything again")
@@ -102,7 +103,8 @@ def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:
     orders = {}
     for metric, group in points[points["series"] == RAYS_SERIES].groupby("metric", sort=False):
         rays = group["setting"].astype(float).to_numpy()
-        if fit := observed_order(rays, group["error"].to_numpy(float), str(metric)):
+        fit = observed_order(rays, group["error"].to_numpy(float), str(metric))
+        if fit:
             orders[str(metric)] = fit
     return orders
 
@@ -110,12 +112,15 @@ def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:
 def verdict(details: pd.DataFrame) -> str:
     """Say whether the reference is converged."""
     halved = details[details["table"] == "reference"]
-    places = [f"{metric_of(q).label} at {s} rays" for q, s in zip(halved["quantity"], halved["setting"], strict=True)]
+    labels = halved["quantity"].map(lambda name: metric_of(name).label)
+    places = [f"{label} at {rays} rays" for label, rays in zip(labels, halved["setting"], strict=True)]
     shares = pd.Series(halved["value"].astype(float).to_numpy(), places)
-    text = f"With half of its {REFERENCE_RAYS} rays the reference changes the errors by at most "
-    text += f"{shares.max():.1%} ({shares.idxmax()})."
     over = list(shares.index[~(shares < WELL_CONVERGED)])
-    return f"{text} Not within {WELL_CONVERGED:.0%}: {', '.join(over)}." if over else f"{text} It is converged."
+    converged = f"Not within {WELL_CONVERGED:.0%}: {', '.join(over)}." if over else "It is converged."
+    return (
+        f"With half of its {REFERENCE_RAYS} rays the reference changes the errors by at most "
+        f"{shares.max():.1%} ({shares.idxmax()}). {converged}"
+    )
 
 
 def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFrame]:

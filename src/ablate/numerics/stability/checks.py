@@ -14,8 +14,11 @@ from ablate.threads import torch_threads
 from ablate.ultrasound import ConvexProbe, Frame, Probe, Simulator, SimulatorPrecision, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import axial_kernel, lateral_kernels
 
-#: Unit roundoff: the largest relative error of one rounding.
-FLOAT32, FLOAT64, TF32, BFLOAT16 = 2.0**-24, 2.0**-53, 2.0**-11, 2.0**-8
+# Unit roundoff: the largest relative error of one rounding.
+FLOAT32 = 2.0**-24
+FLOAT64 = 2.0**-53
+TF32 = 2.0**-11
+BFLOAT16 = 2.0**-8
 
 AHEAD = np.eye(4)
 GEL = Tissue("gel", 1540, 1.5, 0.0, 0.0, 0.0, 0.0, roughness=0.0)
@@ -50,11 +53,25 @@ class Checks:
     """
 
     def __init__(self, device: str) -> None:
-        self.device, self.dtype, self.label = device, "float64", ""
+        self.device = device
+        self.dtype = "float64"
+        self.label = ""
         self.added: list[Check] = []
 
     def add(self, quantity: str, measured: float, bound: float, why: str, dtype: str | None = None) -> None:
-        """Add an error with its bound; without `dtype` it was computed in the present one."""
+        """Add an error with its bound.
+
+        Parameters
+        ----------
+        quantity : str
+            What is in error; the present label stands before it.
+        measured, bound : float
+            The error, and what it must not exceed.
+        why : str
+            The reason of the bound, a sentence.
+        dtype : str, optional
+            In which it was computed; the present one without it.
+        """
         shown = f"{self.label}: {quantity}" if self.label else quantity
         self.added.append(Check(dtype or self.dtype, shown, float(measured), bound, why))
 
@@ -79,15 +96,41 @@ class Checks:
     def both(
         self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD
     ) -> dict[str, Frame]:
-        """Render a frame in float32 and in float64, by the name of the precision, and add nothing."""
-        chosen = {p.value: replace(settings, precision=p, device=self.device) for p in SimulatorPrecision}
-        return {dtype: Simulator(scene, probe, s).render(pose) for dtype, s in chosen.items()}
+        """Render a frame in float32 and in float64, and add nothing.
+
+        Parameters
+        ----------
+        scene : Scene
+        settings : SimulatorSettings
+            But for precision and device, which are those of the case.
+        probe : Probe
+        pose : (4, 4) float, mm
+            Probe to world.
+
+        Returns
+        -------
+        dict of str to Frame
+            By the name of the precision.
+        """
+        frames = {}
+        for precision in SimulatorPrecision:
+            exact = replace(settings, precision=precision, device=self.device)
+            frames[precision.value] = Simulator(scene, probe, exact).render(pose)
+        return frames
 
     def frames(
         self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD,
         *, label: str = "",
     ) -> Iterator[Frame]:  # fmt: skip
-        """Render `both`, add what must hold for any frame, and give each frame in turn; `dtype` is its precision."""
+        """Render `both`, add what must hold for any frame, and give each frame in turn; `dtype` is its precision.
+
+        Parameters
+        ----------
+        scene, settings, probe, pose
+            As of `both`.
+        label : str
+            Of what is added, here and while a frame is given.
+        """
         rendered = self.both(scene, settings, probe, pose)
         self.label = label
         self.any_frame(rendered, settings, probe)
@@ -105,7 +148,9 @@ class Checks:
             self.finite(frame.envelope, frame.attenuation, what="samples and pixels")
             outside = max(-frame.attenuation.min(), frame.attenuation.max() - 1, 0.0)
             self.add("A outside [0, 1]", outside, 0, "A is the ratio of an amplitude to a larger one.")
-        single, double, self.dtype = frames["float32"], frames["float64"], "float32"
+        single = frames["float32"]
+        double = frames["float64"]
+        self.dtype = "float32"
         why = (
             "A sample is a sum of n products. Random rounding errors are sqrt(n) 2^-24 of the sum of magnitudes "
             "(Higham and Mary 2019), and this sum is at most n times the largest."
@@ -124,7 +169,18 @@ class Checks:
     ) -> None:  # fmt: skip
         """Add the largest difference of two envelopes over the largest sample of the right one.
 
-        Its bound is the rounding of the products that are summed for a sample, pulse, beam and layers, and `moved_by`.
+        Its bound is the rounding of the products that are summed for a sample, of pulse, beam and layers.
+
+        Parameters
+        ----------
+        quantity, why : str
+            As of `add`.
+        frame, right : Frame
+            The one that is judged, and the right one.
+        settings : SimulatorSettings
+        probe : Probe
+        moved_by : float
+            What is added to the bound.
         """
         beam = np.count_nonzero(lateral_kernels(probe, settings), axis=-1).max()
         products = len(axial_kernel(probe, settings)) + int(beam) + settings.layers
@@ -143,7 +199,8 @@ def run(case: Case, device: str) -> list[Check]:
 
     An exception is an error, too, and ends it; so is an overflow, of which NumPy only warns.
     """
-    checks, (measure, arguments) = Checks(device), case
+    checks = Checks(device)
+    measure, arguments = case
     try:
         with torch_threads(1), warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # about scenes of metres and probes in bone
@@ -172,12 +229,35 @@ def off(measured: np.ndarray, right: np.ndarray | float) -> float:
 
 
 def slab(tissue: Tissue, near_mm: float, far_mm: float, wide_mm: float = 300.0) -> Structure:
-    """Make a box around the probe's axis, between two depths."""
+    """Make a box around the probe's axis.
+
+    Parameters
+    ----------
+    tissue : Tissue
+    near_mm, far_mm : float
+        The depths of its faces.
+    wide_mm : float
+        Its width, in both directions across the axis.
+    """
     mesh = trimesh.creation.box((wide_mm, wide_mm, far_mm - near_mm))
     return Structure(mesh.apply_translation((0, 0, (near_mm + far_mm) / 2)), tissue)
 
 
 def moved(x_mm: float = 0.0, y_mm: float = 0.0, z_mm: float = 0.0, tilt_deg: float = 0.0) -> np.ndarray:
-    """Make a pose with this origin, rotated about the probe's y."""
-    c, s = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
-    return np.array([[c, 0, s, x_mm], [0, 1, 0, y_mm], [-s, 0, c, z_mm], [0, 0, 0, 1]])
+    """Make a pose.
+
+    Parameters
+    ----------
+    x_mm, y_mm, z_mm : float
+        Its origin.
+    tilt_deg : float
+        By which it is rotated about the probe's y.
+
+    Returns
+    -------
+    (4, 4) float, mm
+        Probe to world.
+    """
+    cosine = np.cos(np.radians(tilt_deg))
+    sine = np.sin(np.radians(tilt_deg))
+    return np.array([[cosine, 0, sine, x_mm], [0, 1, 0, y_mm], [-sine, 0, cosine, z_mm], [0, 0, 0, 1]])

@@ -16,7 +16,9 @@ BODY = Scene((slab(SOFT, 3.0, 120.0), slab(HARD, 40.0, 50.0, 30.0)), GEL, "body"
 _BETWEEN_GEL = Scene((slab(SOFT, 60.0, 100.0),), GEL, "between gel")
 _SPECKLE = Scene((), replace(SOFT, attenuation_db_cm_mhz=0.0), "speckle")
 _ALL_ONE: dict[str, Any] = {"rays": 1, "scanlines": 1, "axial_samples": 1, "layers": 1, "image_shape": (1, 1)}
-LINES, SAMPLES, SPACING_MM = 64, 3072, 150 / 3072
+LINES = 64
+SAMPLES = 3072
+SPACING_MM = 150 / SAMPLES
 STIFF_DB_MM = 1e4 * 8 / 10  # the largest attenuation allowed, at 8 MHz
 SOFT_DB_MM = 0.5 * 8 / 10
 
@@ -104,7 +106,8 @@ def _against_double(checks: Checks, labels: np.ndarray, losses_db_mm: np.ndarray
     about = float(np.sort(total, axis=None)[int(0.02 * (total.size - 1))])  # e^-3000 would be 0, and e^3000 infinite
     amplitude = np.exp(np.minimum(about - total, 700))
     percentile = np.percentile(amplitude, 98)
-    right, scale = np.minimum(amplitude / percentile, 1), about - float(np.log(percentile))  # scale: in Np
+    right = np.minimum(amplitude / percentile, 1)
+    scale = about - float(np.log(percentile))  # in Np
     checks.finite(computed, what="samples")
     if losses_db_mm.max() * SPACING_MM / DB_PER_NEPER * labels.shape[1] > 1e3:
         bound = 4 * FLOAT32

@@ -15,9 +15,11 @@ from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 SHAPE = (200, 277)
 FAN = fan_mask(ConvexProbe(), SHAPE)
-DEPTH_MM, PIXEL_MM = pixel_polar(ConvexProbe(), SHAPE)[0], pixel_size_mm(ConvexProbe(), SHAPE)
+DEPTH_MM = pixel_polar(ConvexProbe(), SHAPE)[0]
+PIXEL_MM = pixel_size_mm(ConvexProbe(), SHAPE)
 BONE = FAN & (np.indices(SHAPE) // 5 % 6 == 0).all(axis=0)  # squares of 4 mm and more
-BLACK, WHITE = np.zeros(SHAPE, np.uint8), np.full(SHAPE, 255, np.uint8)
+BLACK = np.zeros(SHAPE, np.uint8)
+WHITE = np.full(SHAPE, 255, np.uint8)
 NOISE = np.stack([np.random.default_rng(seed).integers(0, 256, SHAPE).astype(np.uint8) for seed in range(4)])
 CHECKERBOARD = (np.indices(SHAPE).sum(axis=0) % 2 * 255).astype(np.uint8)
 FFT_ERROR = 255 * 64 * FLOAT32
@@ -27,7 +29,8 @@ DISTANCES = metrics.frechet_distance, metrics.kernel_distance
 def _scores(a: np.ndarray, b: np.ndarray, mask: np.ndarray = FAN) -> dict[str, float]:
     """Compute all metrics of a pair, with shadow at the left, enhancement at the right, and bone."""
     attenuation = np.repeat([0.2, 1.0, 2.0], (80, 117, 80)).astype(np.float32) / 2 * np.ones(SHAPE, np.float32)
-    labels, depth_mm = np.ones(SHAPE, np.uint8), np.maximum(DEPTH_MM, 0)
+    labels = np.ones(SHAPE, np.uint8)
+    depth_mm = np.maximum(DEPTH_MM, 0)
     pair = metrics.Pair(a, b, mask, mask, attenuation, depth_mm, labels, BONE, PIXEL_MM, np.stack([a, b]))
     return metrics.evaluate_image(pair)
 
@@ -103,7 +106,8 @@ def _frechet(checks: Checks) -> None:
     checks.refused(*(partial(distance, one, one) for distance in DISTANCES))
     for n, d in ((5, 20), (2, 20), (40, 4)):
         checks.label = f"{n} of {d}"
-        x, y = random.normal(size=(n, d)), 1.5 * random.normal(size=(n + 1, d)) + 0.2
+        x = random.normal(size=(n, d))
+        y = 1.5 * random.normal(size=(n + 1, d)) + 0.2
         a, b = (np.atleast_2d(np.cov(v.T)) for v in (x, y))
         root = np.sqrt(np.maximum(eigvals(a @ b).real, 0)).sum()  # a zero eigenvalue is computed as 10^-16 or so
         right = ((x.mean(axis=0) - y.mean(axis=0)) ** 2).sum() + np.trace(a) + np.trace(b) - 2 * root
@@ -115,7 +119,8 @@ def _frechet(checks: Checks) -> None:
         checks.add("against float64, relative", abs(single / computed - 1), 16 * d * FLOAT32, why, "float32")
         why = "Two traces cancel a nuclear norm."
         checks.add("of a set to itself", metrics.frechet_distance(x, x), 64 * d * FLOAT64 * np.trace(a), why)
-    alike, checks.label = np.ones((6, 5)), "without variance"
+    alike = np.ones((6, 5))
+    checks.label = "without variance"
     interval = metrics.bootstrap_interval(metrics.frechet_distance, alike, alike, np.arange(6), resamples=20)
     distances = np.array([*(distance(alike, alike) for distance in DISTANCES), *interval])
     checks.finite(distances, what="distances")
@@ -126,15 +131,18 @@ def _frechet(checks: Checks) -> None:
 def _scales(checks: Checks) -> None:
     """Features of 1e-30 and 1e30, with an offset of 1e8, with deviations over ten decades, and too large to square."""
     random = np.random.default_rng(1)
-    x, y = random.normal(size=(50, 6)), random.normal(size=(40, 6)) * 1.3 + 0.4
+    x = random.normal(size=(50, 6))
+    y = random.normal(size=(40, 6)) * 1.3 + 0.4
     right = metrics.frechet_distance(x, y)
     for scale in (2.0**-100, 2.0**100):
         error = abs(metrics.frechet_distance(x * scale, y * scale) / scale**2 / right - 1)
         checks.add(f"scale {scale:.1e}: relative", error, 64 * FLOAT64, "The distance is of second degree.")
-    offset, why = 1e8, "The offset rounds the features to 10^8 2^-53."
+    offset = 1e8
+    why = "The offset rounds the features to 10^8 2^-53."
     error = abs(metrics.frechet_distance(x + offset, y + offset) / right - 1)
     checks.add("offset 1e8: relative", error, 64 * offset * FLOAT64, why)
-    deviations, why = np.logspace(-5, 5, 6), "No covariance is formed, in which large entries would hide small ones."
+    deviations = np.logspace(-5, 5, 6)
+    why = "No covariance is formed, in which large entries would hide small ones."
     error = metrics.frechet_distance(x * deviations, x * deviations) / deviations[-1] ** 2
     checks.add("ten decades: of a set to itself, of its variance", error, 64 * 6 * FLOAT64, why)
     large = product(DISTANCES, (1e60, 1e200, np.nan, np.inf))

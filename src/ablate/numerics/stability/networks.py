@@ -102,7 +102,8 @@ def _compared(checks: Checks, spec: GeneratorSpec, maps: dict[str, Tensor]) -> N
     precisions = (name, "float32", unit, fine), ("bfloat16", "bfloat16", 3 * BFLOAT16, coarse)
     for checks.dtype, kind, of_a_layer, why in precisions:
         module = Stepped(spec, SETTINGS, checks.device, kind)
-        image, losses = module.image(maps), module.step(maps, 3)
+        image = module.image(maps)
+        losses = module.step(maps, 3)
         checks.finite(image, np.array(list(losses.values())), what="pixels and losses")
         checks.finite(*gradients_of(module), what="gradients")
         error = np.sqrt(((image - right) ** 2).mean()) / size
@@ -125,7 +126,8 @@ def _constant_norm(checks: Checks) -> None:
     """Instance norm of constant maps, whose deviation is 0: the result is 0, and a map of one pixel stays as it is."""
     units = {torch.float32: FLOAT32, torch.bfloat16: BFLOAT16, torch.float64: FLOAT64}
     for (kind, unit), value in product(units.items(), (0.0, 1.0, -1e4, 1e30)):
-        checks.dtype, checks.label = str(kind).removeprefix("torch."), f"{value:g}"
+        checks.dtype = str(kind).removeprefix("torch.")
+        checks.label = f"{value:g}"
         features = torch.full((1, 4, 64, 64), value, dtype=kind, device=checks.device, requires_grad=True)
         out = instance_norm(features)
         out.sum().backward()
@@ -163,7 +165,8 @@ def _steps(
     farthest = settings.learning_rate * max(1.0, (1 - settings.beta1) / np.sqrt(1 - settings.beta2)) * STEPS
     for checks.dtype in ("float32", "float64", "bfloat16"):
         module = Stepped(SPEC, settings, checks.device, checks.dtype)
-        before, losses = module.weights(), []
+        before = module.weights()
+        losses = []
         for k in range(STEPS):
             losses.append(list(module.step(maps or maps_of(checks.device, k), k).values()))
             if k == 0:

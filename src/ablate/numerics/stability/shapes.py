@@ -115,7 +115,8 @@ def _another_unit(checks: Checks, size: float) -> None:
     for frame in checks.frames(scene, settings, probe):
         why = "The unit is a power of two: only the exponents of coordinates change."
         _same_labels(checks, "millimetres", frame, in_mm, why)
-        why, right = "The same scatterers are summed in the same order.", in_mm[checks.dtype]
+        why = "The same scatterers are summed in the same order."
+        right = in_mm[checks.dtype]
         checks.same_envelope("envelope against millimetres, of its largest", frame, right, why, settings, probe)
 
 
@@ -134,7 +135,8 @@ def _far(checks: Checks, away_mm: float, size: float) -> None:
         _same_labels(checks, "those at the origin", frame, near, why)
         part, other = (f.envelope[100:250].astype(float) for f in (frame, near[checks.dtype]))  # from 15 to 37 mm
         grains = part.size / 8 / 2  # a pulse is 8 samples long and a beam at least two lines wide
-        error, bound = abs(part.mean() / other.mean() - 1), 5 * np.sqrt(2) * 0.523 / np.sqrt(grains)
+        error = abs(part.mean() / other.mean() - 1)
+        bound = 5 * np.sqrt(2) * 0.523 / np.sqrt(grains)
         why = "Five standard errors of two means over speckle cells; their deviation is 0.523 of their mean."
         checks.add("mean of speckle against that at the origin, relative", error, bound, why)
         error = abs((part / part.mean(axis=1, keepdims=True)).std() - 0.523)  # 0.523 is that of a Rayleigh variable

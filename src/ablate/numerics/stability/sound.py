@@ -32,7 +32,8 @@ def _losses(checks: Checks) -> None:
     near = depth_cm < 0.5  # 320 dB two-way; squares of float32 underflow beyond 440 dB
     grains = settings.scanlines / 4 * 5 / settings.axial_fwhm_mm  # near the face a beam is four lines wide
     for frame in checks.frames(Scene((), BONE, "bone"), settings):
-        error, bound = abs(_slope(frame, depth_cm, near) / (-2 * 40 * 8) - 1), 4 * 5.57 * np.sqrt(12 / grains) / 320
+        error = abs(_slope(frame, depth_cm, near) / (-2 * 40 * 8) - 1)
+        bound = 4 * 5.57 * np.sqrt(12 / grains) / 320
         why = "Four standard errors of a slope over 320 dB, fitted to log speckle (5.57 dB a speckle cell)."
         checks.add("slope of the envelope against 2 alpha f, relative", error, bound, why)
         checks.add("largest sample beyond 600 dB", frame.envelope[depth_cm > 1].max(), 0, "Float32 is 0 there.")
@@ -111,7 +112,8 @@ def _at(cos_i: float, z1: float, c1: float, z2: float, c2: float) -> tuple[float
 def _total_reflection(checks: Checks) -> None:
     """Incidence at 40 degrees on a medium whose speed of sound is 1.7 times larger: nothing is transmitted."""
     fast = Tissue("fast", 2600, 4.5, 0.0, 0.6, 0.0, 1.0, roughness=0.0, specularity=0.0)
-    pose, settings = moved(tilt_deg=40), replace(ONE_LINE, rays=64)
+    pose = moved(tilt_deg=40)
+    settings = replace(ONE_LINE, rays=64)
     gel = slab(replace(GEL, specularity=0.0), -500.0, 30.0, 2000.0)  # its echo is received from any angle
     echoes = checks.both(Scene((gel,), replace(fast, scatterer_density=0.0), "total"), settings, PENCIL, pose)
     pulse = axial_kernel(PENCIL, settings)
@@ -143,7 +145,8 @@ def _cavity(checks: Checks) -> None:
     settings = replace(ONE_LINE, scanlines=128, rays=256, lateral_fwhm_mm=1e-6, noise_floor_db=-100.0)
     shown = [checks.both(scene, replace(settings, path_seed=seed), PENCIL) for seed in range(6)]
     checks.any_frame(shown[0], settings, PENCIL)
-    depth, pulse = sample_depths_mm(PENCIL, settings.axial_samples), axial_kernel(PENCIL, settings).sum()
+    depth = sample_depths_mm(PENCIL, settings.axial_samples)
+    pulse = axial_kernel(PENCIL, settings).sum()
     periods = [(depth > begin) & (depth <= begin + 10) for begin in np.arange(12.5, 52.5, 10)]
     wall = abs((GAS.impedance_mrayl - GEL.impedance_mrayl) / (GAS.impedance_mrayl + GEL.impedance_mrayl))
     # A period of 10 mm holds two echoes of random phase; those of the k-th have met 2 k + 1 and 2 k + 2 walls.
@@ -165,7 +168,8 @@ def _no_loss(checks: Checks) -> None:
     for frame in checks.frames(Scene((), replace(SOFT, attenuation_db_cm_mhz=0.0), "lossless")):
         least = float(frame.attenuation[frame.mask].min())
         checks.add("1 - A", 1 - least, 2 * FLOAT32, "The weights of a pixel sum to 1.")
-        error, bound = abs(_slope(frame, depth_cm, slice(20, -20))), 4 * 5.57 * np.sqrt(12 / grains) / 15
+        error = abs(_slope(frame, depth_cm, slice(20, -20)))
+        bound = 4 * 5.57 * np.sqrt(12 / grains) / 15
         why = "Four standard errors of a slope, fitted to log speckle (5.57 dB a speckle cell)."
         checks.add("slope of the envelope, dB/cm", error, bound, why)
 

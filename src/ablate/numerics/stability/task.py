@@ -26,11 +26,12 @@ def stability(jobs: Sequence[Job]) -> int:
     settings = jobs[0].settings
     folder = settings.results / "stability"
     with published_task(settings, folder) as view:
-        rows, device = [], str(chosen_device(settings.training.device))
+        device = str(chosen_device(settings.training.device))
+        rows = []
         with tqdm(CASES.items(), unit="case", desc="stability", disable=None) as bar:
             for name, case in bar:
                 bar.set_postfix_str(name)
-                rows += [{"case": name, **vars(c), "holds": c.holds} for c in run(case, device)]
+                rows += [{"case": name, **vars(check), "holds": check.holds} for check in run(case, device)]
         table = pd.DataFrame(rows, columns=[*COLUMNS, "why"])
         files = _written(table, folder)
         fallen = list(table.loc[~table["holds"], "case"].unique())
@@ -47,9 +48,11 @@ def stability(jobs: Sequence[Job]) -> int:
 def _written(table: pd.DataFrame, folder: Path) -> list[Path]:
     """Write the table as CSV, and as Markdown with what each case tries and the reason of each bound."""
     folder.mkdir(parents=True, exist_ok=True)
-    csv, pages = folder / "stability.csv", folder / "stability.md"
+    csv = folder / "stability.csv"
+    pages = folder / "stability.md"
     write_text(csv, table[COLUMNS].to_csv(index=False))
-    head, names = [*COLUMNS[1:], "why"], dict.fromkeys(table["case"])
+    head = [*COLUMNS[1:], "why"]
+    names = dict.fromkeys(table["case"])
     cells = table[head].map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell).replace("|", r"\|"))
     cases = [(name, getdoc(CASES[name][0]), cells[table["case"] == name].to_numpy()) for name in names]
     page = Template(files("ablate.numerics.stability").joinpath("stability.md.jinja").read_text("utf-8"))
