@@ -21,32 +21,15 @@ class LinearModel:
 
     An effect is the mean at a factor's second level minus the mean at its first; of an interaction it is half the
     difference of one factor's effect between the other's levels.
-
-    Attributes
-    ----------
-    terms : tuple
-        Main effects `(a,)`, and interactions `(a, b)` that the runs can tell apart.
-    effects : (terms,) float
-        In units of the value.
-    covariance : (terms, terms) float
-        From the residuals of all runs together; NaN where `dof` is 0.
-    dof : int
-        Degrees of freedom of the error.
-    runs : (terms, 2) int
-        On the first and on the second side of each effect.
-    aliases : dict
-        By term, what the runs cannot tell from it; empty where there is nothing.
-    residuals : (runs,) float
-        In units of the value.
     """
 
-    terms: tuple[tuple[str, ...], ...]
-    effects: np.ndarray
-    covariance: np.ndarray
-    dof: int
-    runs: np.ndarray
-    aliases: dict[tuple[str, ...], str]
-    residuals: np.ndarray
+    terms: tuple[tuple[str, ...], ...]  # main effects `(a,)`, and interactions `(a, b)` that the runs can tell apart
+    effects: np.ndarray  # (terms,)
+    covariance: np.ndarray  # (terms, terms), from the residuals of all runs together; NaN where `dof` is 0
+    dof: int  # of the error
+    runs: np.ndarray  # (terms, 2), on the first and on the second side of each effect
+    aliases: dict[tuple[str, ...], str]  # what the runs cannot tell from a term; empty where there is nothing
+    residuals: np.ndarray  # (runs,)
 
     def contrast(self, weights: np.ndarray) -> tuple[float, float]:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
@@ -122,15 +105,11 @@ def _told_interactions(
     signs: dict[str, np.ndarray], factors: Sequence[str], blocks: np.ndarray
 ) -> list[tuple[str, ...]]:
     """Two-way interactions of which all four cells were run, and that no other term or block stands in for."""
-    pairs = [pair for pair in combinations(factors, 2) if _has_four_cells(signs, pair)]
+    pairs = [(a, b) for a, b in combinations(factors, 2) if len({*zip(signs[a], signs[b], strict=True)}) == 4]
     terms = [*((factor,) for factor in factors), *pairs]
     null_space = linalg.null_space(_columns(signs, terms, blocks))
     shares = np.abs(null_space).sum(axis=1)[1 + len(factors) :]
     return [pair for pair, share in zip(pairs, shares, strict=False) if share < 1e-9]  # 0 of a column of its own
-
-
-def _has_four_cells(signs: dict[str, np.ndarray], pair: tuple[str, str]) -> bool:
-    return len({*zip(signs[pair[0]], signs[pair[1]], strict=True)}) == 4
 
 
 def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFrame:

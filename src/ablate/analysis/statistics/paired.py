@@ -194,15 +194,7 @@ def paired_difference(
 def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     """Holm's step-down adjustment: controls the chance of any false positive in a family (Holm 1979).
 
-    Parameters
-    ----------
-    p : (k,) float in [0, 1]
-        Adjusted values come in the same order.
-
-    Raises
-    ------
-    ValueError
-        When a value lies outside [0, 1].
+    `p` are (k,) float; adjusted values come in the same order. A value outside [0, 1] is a ValueError.
     """
     p = np.asarray(p, dtype=np.float64)
     if not ((p >= 0) & (p <= 1)).all():
