@@ -10,7 +10,7 @@ import pytest
 from ablate import analysis
 from ablate.analysis import Component
 from ablate.analysis.components import level_with
-from ablate.analysis.statistics.verdicts import UNDECLARED
+from ablate.analysis.statistics.component_models import UNDECLARED
 from support.components import COMPONENTS, FULL, without
 
 

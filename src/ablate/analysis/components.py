@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from ablate.setting import check_name
@@ -12,20 +12,33 @@ DEPTH = "model.depth"
 
 @dataclass(frozen=True)
 class Component:
-    """One switch of a study; the variant without it is `sa2h-<name>`.
+    """One switch of a study.
 
-    `key` is the dotted configuration key that it switches, as `model.attenuation`, `training.reconstruction` or
-    `encoding`. `on` is the level of the full model, or several of which it has one, and `off` the level that stands for
-    "without the component". Where they are not declared, the level of the reference run is the one with the component.
+    A component without a primary metric and a band gets effects and interactions, but no verdict. Both are fixed before
+    the runs are scored.
 
-    `label` is what figures and reports call it, the last part of the key when left out; `purpose` is one sentence on
-    what it is for.
+    Attributes
+    ----------
+    name : str
+        The variant without this component is `sa2h-<name>`.
+    key : str
+        The dotted configuration key that it switches, as `model.attenuation`, `training.reconstruction` or `encoding`.
+    on, off : optional
+        The level of the full model, or several of which it has one, and the level that stands for "without the
+        component". Where they are not declared, the level of the reference run is the one with the component.
+    label : str
+        What figures and reports call it; the last part of the key when left out.
+    purpose : str
+        One sentence on what it is for.
+    metric : str, optional
+        Name of the primary metric.
+    band : float, optional
+        The improvement that is too small to matter, in units of the metric.
 
-    `metric` is the name of the primary metric, and `band` the improvement that is too small to matter, in its units.
-    Both are fixed before the runs are scored. Without them a component gets effects and interactions, but no verdict.
-
-    A name that cannot be part of a file name, an empty key, and a band that is not a finite number above 0 are a
-    ValueError.
+    Raises
+    ------
+    ValueError
+        When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
     """
 
     name: str
@@ -52,11 +65,12 @@ class Component:
             object.__setattr__(self, "label", self.key.rpartition(".")[2])
 
 
-def with_undeclared(components: Sequence[Component], keys: Iterable[str]) -> tuple[Component, ...]:
+def with_undeclared(components: Sequence[Component], keys: Collection[str]) -> tuple[Component, ...]:
     """The components, and one without a metric for each of the dotted keys that none of them switches."""
     declared = {component.key for component in components}
     short = short_keys([*declared, *keys])
-    return (*components, *(Component(short[key], key) for key in keys if key not in declared))
+    undeclared = [Component(name=short[key], key=key) for key in keys if key not in declared]
+    return (*components, *undeclared)
 
 
 def short_keys(keys: Iterable[str]) -> dict[str, str]:

@@ -40,10 +40,15 @@ def every_frame(per_image: pd.DataFrame, metric: str | None = None) -> pd.DataFr
 
     The column `stored` is "left_only" in these rows.
     """
-    run = ["variant", "seed", *({"data"} & set(per_image))]
+    run = ["variant", "seed", *_data_column(per_image)]
     chosen = per_image if metric is None else per_image[per_image["metric"] == metric]
-    frames, metrics = per_image[[*run, "frame", "site"]].drop_duplicates(), chosen[[*run, "metric"]].drop_duplicates()
+    frames = per_image[[*run, "frame", "site"]].drop_duplicates()
+    metrics = chosen[[*run, "metric"]].drop_duplicates()
     return frames.merge(metrics, on=run).merge(chosen, how="left", indicator="stored")
+
+
+def _data_column(table: pd.DataFrame) -> list[str]:
+    return ["data"] if "data" in table else []
 
 
 def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -52,14 +57,18 @@ def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) 
     They are those of frames of which all runs of networks have one, or means of runs would be over different frames. A
     run without one finite value of a metric does not count.
     """
-    data = [*({"data"} & set(per_image))]
+    data = _data_column(per_image)
+    columns = [*SCALAR_COLUMNS, *data]
     finite = per_image[np.isfinite(per_image["value"])]
     run = finite["variant"] + " " + finite["seed"].astype(str)
-    alike = [finite["variant"] == RESIMULATION, *(finite[name] for name in ("metric", *data))]
-    of_frame, of_all = (run.groupby(by).transform("nunique") for by in ([*alike, finite["frame"]], alike))
-    networks, frame = finite[(of_frame == of_all) & ~alike[0]], ["metric", *data, "frame"]
-    floor = finite[alike[0]].merge(networks[frame].drop_duplicates(), on=frame)
-    shared = pd.concat([networks, floor], ignore_index=True)[[*SCALAR_COLUMNS, *data]]
+    resimulated = finite["variant"] == RESIMULATION
+    compared = [resimulated, *(finite[name] for name in ("metric", *data))]
+    runs_with_frame = run.groupby([*compared, finite["frame"]]).transform("nunique")
+    runs_with_metric = run.groupby(compared).transform("nunique")
+    networks = finite[(runs_with_frame == runs_with_metric) & ~resimulated]
+    frame = ["metric", *data, "frame"]
+    floor = finite[resimulated].merge(networks[frame].drop_duplicates(), on=frame)
+    shared = pd.concat([networks, floor], ignore_index=True)[columns]
     if scalars is None:
         return shared
-    return pd.concat([shared, scalars.loc[np.isfinite(scalars["value"]), [*SCALAR_COLUMNS, *data]]])
+    return pd.concat([shared, scalars.loc[np.isfinite(scalars["value"]), columns]])

@@ -24,7 +24,11 @@ BAND_EDGES = (1 / 24, 1 / 12, 1 / 6, 1 / 3, 1 / np.sqrt(2.0))  # cycles/px, octa
 
 # One unit of each feature is about one standard deviation between patches of different tissue, so that no
 # feature rules the distance. Fixed, so that values of two studies can be compared.
-GREY_UNIT, GRADIENT_UNIT, CORRELATION_UNIT, LOG10_POWER_UNIT, FRACTION_UNIT = 48.0, 4.0, 0.4, 0.75, 0.2
+GREY_UNIT = 48.0
+GRADIENT_UNIT = 4.0  # grey levels
+CORRELATION_UNIT = 0.4
+LOG10_POWER_UNIT = 0.75
+FRACTION_UNIT = 0.2
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels^2, of rounding to 8 bits; keeps flat patches finite
 
 # Rows and columns of the neighbours of a pixel within 3 x 3, around the circle.

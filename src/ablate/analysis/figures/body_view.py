@@ -44,8 +44,24 @@ def draw_body(
     """Draw a scene into empty 3-D axes with `proj_type="ortho"`, in mm and of equal aspect.
 
     The body is translucent, more so before the image plane; bone is opaque. The camera looks across the image plane,
-    from behind the probe and a little from above. `pose` is probe to world, (4, 4), mm; `image` is (H, W) uint8 and
-    `fan` (H, W) bool; `axis` is the scene's long axis, drawn upright.
+    from behind the probe and a little from above.
+
+    Parameters
+    ----------
+    space : Axes3D
+        Empty.
+    scene : Scene
+        With one structure or more.
+    probe : Probe
+        That took the image.
+    pose : (4, 4) float, mm
+        Probe to world.
+    image : (H, W) uint8
+        Grey levels, drawn where the image was taken.
+    fan : (H, W) bool
+        Its pixels that are drawn.
+    axis : (3,) float
+        The scene's long axis, drawn upright.
     """
     surfaces = [
         *_structures(scene),
@@ -55,11 +71,13 @@ def draw_body(
     view = _turn_camera(space, pose, np.asarray(axis, float) / np.linalg.norm(axis))
     # One collection, so that the faces of all surfaces and the pixels are drawn from the farthest to the nearest.
     drawn = [image_quads(probe, pose, image, fan), *(_shaded(*surface, view, pose) for surface in surfaces)]
-    corners, colours = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+    corners = np.concatenate([quads for quads, _ in drawn])
+    colours = np.concatenate([rgba for _, rgba in drawn])
     space.computed_zorder = False  # the outline lies on all faces
     space.add_collection3d(Poly3DCollection(corners, facecolors=colours, linewidths=0))
     space.plot(*to_world(pose, fan_outline(probe)).T, color=_OUTLINE, lw=0.8)
-    low, high = corners.min(axis=(0, 1)) - _MARGIN_MM, corners.max(axis=(0, 1)) + _MARGIN_MM
+    low = corners.min(axis=(0, 1)) - _MARGIN_MM
+    high = corners.max(axis=(0, 1)) + _MARGIN_MM
     for name, *limits in zip("xyz", low, high, strict=True):
         space.set(**{f"{name}lim": limits})
         getattr(space, f"set_{name}label")(f"{name} (mm)", labelpad=0)
@@ -69,10 +87,29 @@ def draw_body(
 
 
 def image_quads(probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels inside the fan: corners (n, 4, 3) in mm and RGBA (n, 4); a high image has fewer than it came with."""
-    fewer = min(1.0, _IMAGE_ROWS / image.shape[0])
-    rows, columns = (round(fewer * pixels) for pixels in image.shape)
-    grey, inside = (resize(a.astype(float), (rows, columns), anti_aliasing=fewer < 1) for a in (image / 255, fan))
+    """The pixels inside the fan, as quadrilaterals in space; a high image has fewer than it came with.
+
+    Parameters
+    ----------
+    probe : Probe
+        That took the image.
+    pose : (4, 4) float, mm
+        Probe to world.
+    image : (H, W) uint8
+        Grey levels.
+    fan : (H, W) bool
+        The pixels that are drawn.
+
+    Returns
+    -------
+    (n, 4, 3) float, mm, and (n, 4) float in [0, 1]
+        Corners and RGBA.
+    """
+    scale = min(1.0, _IMAGE_ROWS / image.shape[0])
+    shape = tuple(round(scale * pixels) for pixels in image.shape)
+    rows, columns = shape
+    grey = resize(image / 255, shape, anti_aliasing=scale < 1)
+    inside = resize(fan.astype(float), shape, anti_aliasing=scale < 1)
     height, width = fan_of(probe).size_mm
     x, z = np.meshgrid(np.linspace(-width / 2, width / 2, columns + 1), np.linspace(0, height, rows + 1))
     points = to_world(pose, np.stack([x, 0 * x, z - fan_of(probe).sag_mm], axis=-1))
@@ -86,8 +123,10 @@ def _structures(scene: Scene) -> list[tuple[trimesh.Trimesh, Colour, Opacity]]:
     colours = tissue_colours(scene.tissues)
     whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
     other = [_ENVELOPE if s.mesh.extents.prod() > _LARGE * whole else _ORGAN for s in scene.structures]
-    drawn = zip(scene.structures, scene.structure_tissues, other, strict=True)
-    return [(s.mesh, colours[tissue], _OPACITY.get(s.tissue.kind, usual)) for s, tissue, usual in drawn]
+    return [
+        (structure.mesh, colours[tissue], _OPACITY.get(structure.tissue.kind, usual))
+        for structure, tissue, usual in zip(scene.structures, scene.structure_tissues, other, strict=True)
+    ]
 
 
 def _shaded(

@@ -17,7 +17,9 @@ from ablate.analysis.results import StudyResults
 from ablate.analysis.statistics.verdicts import ALPHA, Verdict, improvements, interactions
 from ablate.metrics import Direction, metric_of
 
-ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.9, 0.27
+ROW_IN = 0.42
+HEAD_IN = 0.9
+CELL_IN = 0.27  # of the map of interactions
 FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
 COLOURS = {Verdict.earns: "#007A55", Verdict.does_not: "#B04A00", Verdict.undecided: "#555555"}

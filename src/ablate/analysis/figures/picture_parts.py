@@ -15,7 +15,19 @@ MOST_TALL = 5.0  # height of the place of a picture, in widths
 
 
 def draw_picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -> AxesImage:
-    """Show an image in axes without ticks and frame; `how` is as for `Axes.imshow`."""
+    """Show an image in axes without ticks and frame.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where it is shown.
+    image : (H, W) or masked array
+        Values.
+    colours : str
+        Name of a colour map.
+    **how
+        As for `Axes.imshow`.
+    """
     axes.set_axis_on()
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)

@@ -1,7 +1,6 @@
 """One frame with the probe that saw it: the body in 3-D, beside it the image and its segmentation."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -33,9 +32,31 @@ def preview_figure(
 ) -> Path:
     """Draw body, probe and fan in 3-D, and beside them the frame's image and segmentation in the same colours.
 
-    The image lies on the fan where it was taken; a green ball marks the side of the probe that is left in it. The scene
-    needs one structure or more. `pose` is probe to world, (4, 4), mm; `image` and `segmentation` are (H, W) uint8; the
-    axis and the front of `grid` are drawn as arrows. The file is a PNG; `path` is returned.
+    The image lies on the fan where it was taken; a green ball marks the side of the probe that is left in it.
+
+    Parameters
+    ----------
+    path : Path
+        Of the PNG; its folder is made.
+    title : str
+        Stands above.
+    scene : Scene
+        With one structure or more.
+    probe : Probe
+        That took the image.
+    pose : (4, 4) float, mm
+        Probe to world.
+    image : (H, W) uint8
+        Grey levels.
+    segmentation : (H, W) uint8
+        Labels, 0 outside the fan.
+    grid : SiteGrid
+        Its axis and front are drawn as arrows.
+
+    Returns
+    -------
+    Path
+        `path`.
     """
     colours = tissue_colours(scene.tissues)
     with house_style(), rc_context({"grid.color": "#dddddd", "grid.linewidth": 0.5}):
@@ -43,16 +64,26 @@ def preview_figure(
         space = figure.add_axes((0.03, 0.0, 0.58, 0.58 / _HEIGHT), projection="3d", proj_type="ortho")
         draw_body(space, scene, probe, pose, image, segmentation > 0, grid.axis)
         _draw_compass(figure, space, grid)
-        upper, lower = (figure.add_axes((0.69, bottom, 0.3, 0.355)) for bottom in (0.61, 0.205))
+        upper = figure.add_axes((0.69, 0.61, 0.3, 0.355))
+        lower = figure.add_axes((0.69, 0.205, 0.3, 0.355))
         _draw_image(upper, probe, image, "image")
         _draw_image(lower, probe, np.array([_OUTSIDE, *colours])[segmentation], "segmentation")
         upper.tick_params(labelbottom=False)
         lower.set_xlabel("lateral (mm)")
         names = {i: scene.tissues[i - 1].name.replace("_", " ") for i in np.unique(segmentation) if i}
         patches = [Patch(facecolor=colours[i - 1], label=name) for i, name in names.items()]
-        where: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1.0, 0.13), "ncols": 4, "fontsize": 6}
-        small: dict[str, Any] = {"handlelength": 0.8, "handleheight": 0.8, "columnspacing": 0.8, "labelspacing": 0.3}
-        figure.legend(handles=patches, frameon=False, **where, **small)
+        figure.legend(
+            handles=patches,
+            frameon=False,
+            loc="upper right",
+            bbox_to_anchor=(1.0, 0.13),
+            ncols=4,
+            fontsize=6,
+            handlelength=0.8,
+            handleheight=0.8,
+            columnspacing=0.8,
+            labelspacing=0.3,
+        )
         figure.text(0.01, 0.98, title, va="top")
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as partial:

@@ -30,7 +30,8 @@ def tissue_colours(tissues: Sequence[Tissue]) -> list[Colour]:
     grey, clear fluids blue and the rest warm. All but the background's follow from the tissue alone.
     """
     table = files("ablate.analysis.figures").joinpath("tissue_colours.csv").read_text("utf-8").split()
-    of_name, colours = dict(row.split(",") for row in table), list[Colour]()
+    of_name = dict(row.split(",") for row in table)
+    colours: list[Colour] = []
     colour: str | Colour
     for i, tissue in enumerate(tissues):
         number = crc32(tissue.name.encode())
@@ -45,7 +46,8 @@ def tissue_colours(tissues: Sequence[Tissue]) -> list[Colour]:
         elif tissue.scatter_power == 0:
             colour = tuple(hsv_to_rgb((0.52 + 0.045 * (number % 4), 0.5, 0.9)))
         else:  # from pink over red to yellow
-            colour = tuple(hsv_to_rgb(((90 + number % 25) / 100 % 1, _SATURATIONS[number % 3], _VALUES[number % 2])))
+            hue = (90 + number % 25) / 100 % 1
+            colour = tuple(hsv_to_rgb((hue, _SATURATIONS[number % 3], _VALUES[number % 2])))
         colours.append(to_rgb(colour))
     return colours
 
@@ -54,10 +56,16 @@ def probe_body(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
     """The housing: as wide as the face, tapering to a handle; closed parts. `pose` is probe to world, (4, 4), mm."""
     arc = face_arc(probe, 41)
     edge, _, height = arc[-1]
-    levels = [arc, *(np.array([[x, 0, height - behind] for x in (-w * edge, w * edge)]) for w, behind in _BODY_MM)]
+    levels = [arc]
+    for share, behind in _BODY_MM:
+        half_width = share * edge
+        levels.append(np.array([[-half_width, 0, height - behind], [half_width, 0, height - behind]]))
     side = np.array([0.0, _HALF_WIDTH_MM, 0.0])
-    flat = [np.concatenate(pair) for pair in pairwise(levels)]
-    parts = [trimesh.convex.convex_hull(to_world(pose, np.concatenate([part - side, part + side]))) for part in flat]
+    parts = []
+    for upper, lower in pairwise(levels):
+        outline = np.concatenate([upper, lower])
+        corners = np.concatenate([outline - side, outline + side])
+        parts.append(trimesh.convex.convex_hull(to_world(pose, corners)))
     housing: trimesh.Trimesh = trimesh.util.concatenate(parts)
     return housing
 

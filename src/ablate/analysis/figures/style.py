@@ -22,7 +22,10 @@ from ablate.storage import written_whole
 
 PAGE_IN = 7.16  # width of a page of an IEEE paper, inches
 PNG_DPI = 200
-ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25  # of a figure of panels
+# Heights in a figure of panels.
+ROW_IN = 0.19
+HEAD_IN = 0.55
+LEGEND_IN = 0.25
 HINTS = {Direction.higher: "better →", Direction.lower: "← better", Direction.zero: "0 is right", Direction.none: ""}
 
 # Okabe and Ito (2008), told apart by the colour-blind, from dark to light so that the order also holds in grey.
@@ -132,7 +135,19 @@ def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, Any
 
 
 def draw_resimulation(axes: Axes, metric: str, value: float, name: str = "re-simulation") -> None:
-    """Draw the re-simulation as a vertical line where it is finite."""
+    """Draw the re-simulation as a vertical line where it is finite.
+
+    Parameters
+    ----------
+    axes : Axes
+        Of a panel.
+    metric : str
+        Of the panel.
+    value : float
+        What the re-simulation scores, in units of the metric.
+    name : str
+        In the legend.
+    """
     if np.isfinite(value):
         axes.axvline(value, lw=1.0, zorder=1, **resimulation_line(metric, name))
 

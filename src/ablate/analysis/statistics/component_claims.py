@@ -53,16 +53,22 @@ def seed_claims(
     for metric in judged_metrics(list(values["metric"])):
         of_metric = means.loc[metric]
         variants = ordered_variants(list(of_metric.index.get_level_values("variant")), reference)
-        for variant in variants if reference in variants else ():
-            if variant != reference:
-                a, b = (of_metric.loc[name].to_numpy() for name in (variant, reference))
-                seeds = min(len(a), len(b))
-                told = seeds >= FEWEST_SEEDS and max(np.ptp(a), np.ptp(b)) > 0
-                rows.append((variant, metric, seeds, *(welch(a, b) if told else [None] * 4)))
+        if reference not in variants:
+            continue
+        for variant in variants:
+            if variant == reference:
+                continue
+            a = of_metric.loc[variant].to_numpy()
+            b = of_metric.loc[reference].to_numpy()
+            seeds = min(len(a), len(b))
+            testable = seeds >= FEWEST_SEEDS and max(np.ptp(a), np.ptp(b)) > 0
+            shift, lower, upper, p = welch(a, b) if testable else (None, None, None, None)
+            rows.append((variant, metric, seeds, shift, lower, upper, p))
     table = pd.DataFrame(rows, columns=["variant", "metric", "seeds", "shift", "lower", "upper", "p"])
     table["p_holm"] = where_known(holm, table["p"])
-    alone, corrected = (table[name].astype(float) for name in ("p", "p_holm"))
-    known = [corrected < 1 - LEVEL, alone < 1 - LEVEL, alone.notna()]
-    verdicts = [Claim.differs, Claim.suggested, Claim.no_difference_found]
-    table.insert(2, "verdict", np.select(known, verdicts, Claim.not_claimable))
+    alone = table["p"].astype(float)
+    corrected = table["p_holm"].astype(float)
+    conditions = [corrected < 1 - LEVEL, alone < 1 - LEVEL, alone.notna()]
+    claims = [Claim.differs, Claim.suggested, Claim.no_difference_found]
+    table.insert(2, "verdict", np.select(conditions, claims, Claim.not_claimable))
     return table

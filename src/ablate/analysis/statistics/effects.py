@@ -53,10 +53,21 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
     Interactions that the runs cannot tell from other effects or from blocks are taken as zero, and named as aliases of
     those effects. Higher interactions and seeds are the error; so are two-way ones where `interactions` is False.
 
-    `runs` has one row a run: a column for each factor, `value`, and perhaps `data`, the run's block. Blocks differ by a
-    constant; seeds are further rows. The columns `factors` have two levels each, in the order of their categories or
-    else of first appearance; the first is the baseline. Raises ValueError when a factor has not two levels, or the runs
-    cannot tell the factors apart.
+    Parameters
+    ----------
+    runs : DataFrame
+        One row a run: a column for each factor, `value`, and perhaps `data`, the run's block. Blocks differ by a
+        constant; seeds are further rows.
+    factors : sequence of str
+        Columns of two levels each, in the order of their categories or else of first appearance; the first is the
+        baseline.
+    interactions : bool
+        Whether there are two-way interactions in the model.
+
+    Raises
+    ------
+    ValueError
+        When a factor has not two levels, or the runs cannot tell the factors apart.
     """
     signs = _signs(runs, factors)
     blocks = np.empty((len(runs), 0))
@@ -66,30 +77,39 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
     if np.linalg.matrix_rank(_columns(signs, terms, blocks)) <= len(terms) + blocks.shape[1]:
         among = " and blocks" if blocks.shape[1] else ""
         raise ValueError(f"{len(runs)} runs cannot tell the factors {list(factors)}{among} apart: add cells")
-    if interactions:  # of which all four cells were run, and that no other term or block stands in for
-        four = [pair for pair in combinations(factors, 2) if len({*zip(*(signs[f] for f in pair), strict=True)}) == 4]
-        null = np.abs(linalg.null_space(_columns(signs, [*terms, *four], blocks))).sum(axis=1)[1 + len(terms) :]
-        terms += [pair for pair, share in zip(four, null, strict=False) if share < 1e-9]  # 0 of a column of its own
+    if interactions:
+        terms += _told_interactions(signs, factors, blocks)
     design = _columns(signs, terms, blocks)
     response = runs["value"].to_numpy(dtype=np.float64)
     estimate = linalg.lstsq(design, response)[0]
-    dof = len(runs) - design.shape[1]
     residuals = response - design @ estimate
     rounding = len(runs) * np.finfo(float).eps * np.abs(response).max(initial=0.0)  # an effect so small is none
     estimate = np.where(np.abs(estimate) > rounding, estimate, 0.0)
     residuals = np.where(np.abs(residuals) > rounding, residuals, 0.0)
+    dof = len(runs) - design.shape[1]
     variance = np.sum(residuals**2) / dof if dof > 0 else np.nan
-    chosen = slice(1, 1 + len(terms))
-    changed = np.count_nonzero(design[:, chosen] > 0, axis=0)
+    of_terms = slice(1, 1 + len(terms))
+    changed = np.count_nonzero(design[:, of_terms] > 0, axis=0)
     return LinearModel(
-        tuple(terms),
-        estimate[chosen],
-        variance * linalg.inv(design.T @ design)[chosen, chosen],
-        dof,
-        np.column_stack([len(runs) - changed, changed]),
-        _aliases(signs, factors, terms, blocks),
-        residuals,
+        terms=tuple(terms),
+        effects=estimate[of_terms],
+        covariance=variance * linalg.inv(design.T @ design)[of_terms, of_terms],
+        dof=dof,
+        runs=np.column_stack([len(runs) - changed, changed]),
+        aliases=_aliases(signs, factors, terms, blocks),
+        residuals=residuals,
     )
+
+
+def _told_interactions(
+    signs: dict[str, np.ndarray], factors: Sequence[str], blocks: np.ndarray
+) -> list[tuple[str, ...]]:
+    """Two-way interactions of which all four cells were run, and that no other term or block stands in for."""
+    pairs = [(a, b) for a, b in combinations(factors, 2) if len({*zip(signs[a], signs[b], strict=True)}) == 4]
+    terms = [*((factor,) for factor in factors), *pairs]
+    null_space = linalg.null_space(_columns(signs, terms, blocks))
+    shares = np.abs(null_space).sum(axis=1)[1 + len(factors) :]
+    return [pair for pair, share in zip(pairs, shares, strict=False) if share < 1e-9]  # 0 of a column of its own
 
 
 def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFrame:
@@ -101,11 +121,12 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
     model = fit_effects(runs, factors)
     rows = []
     for k, term in enumerate(model.terms):
-        one = np.eye(len(model.terms))[k]
-        known: tuple[float | None, ...] = (None, None, None)
+        lower = upper = p = None
         if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
-            known = (*model.interval(one), model.p_value(one))
-        rows.append((":".join(term), model.effects[k], *known, model.dof, model.aliases[term]))
+            only_this = np.eye(len(model.terms))[k]
+            lower, upper = model.interval(only_this)
+            p = model.p_value(only_this)
+        rows.append((":".join(term), model.effects[k], lower, upper, p, model.dof, model.aliases[term]))
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
 
 
@@ -115,8 +136,13 @@ def defining_relation(runs: pd.DataFrame, factors: Sequence[str]) -> list[str]:
     Second levels count as +. A full factorial has no words. Raises ValueError when a factor has not two levels.
     """
     signs = _signs(runs, factors)
-    products = {":".join(word): _product(signs, word) for word in _subsets(factors, 1)}
-    return [("-" if p[0] < 0 else "") + word for word, p in products.items() if (p == p[0]).all()]
+    words = []
+    for factors_of_word in _subsets(factors, 1):
+        product = _product(signs, factors_of_word)
+        if (product == product[0]).all():
+            sign = "-" if product[0] < 0 else ""
+            words.append(sign + ":".join(factors_of_word))
+    return words
 
 
 def _signs(runs: pd.DataFrame, factors: Sequence[str]) -> dict[str, np.ndarray]:

@@ -10,8 +10,18 @@ from scipy import stats
 from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
 
 PAIRED_COLUMNS = (
-    *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
-    *("p_sites_holm", "sites", "dropped"),
+    "variant",
+    "reference",
+    "metric",
+    "shift",
+    "lower",
+    "upper",
+    "p_holm",
+    "effect",
+    "n",
+    "p_sites_holm",
+    "sites",
+    "dropped",
 )
 LATTICE = 512  # levels, at least, that a bootstrap's differences are rounded to, over their range
 
@@ -20,12 +30,25 @@ LATTICE = 512  # levels, at least, that a bootstrap's differences are rounded to
 class PairedDifference:
     """How a variant differs from the reference on the same frames.
 
-    `shift` is Hodges' and Lehmann's median shift, variant minus reference; `lower` and `upper` are its bootstrap
-    interval over clusters (probe sites), infinite when there is only one. `p` is of Wilcoxon's signed-rank test over
-    frames, two-sided, and 1 when nothing differs. It takes frames for independent, so it speaks of these frames and not
-    of other sites. `p_sites` is the same test on one mean a cluster: it speaks of sites like these. Below six clusters
-    it cannot reach 5 %. `effect` is the matched-pairs rank-biserial correlation, -1 to 1. `n` pairs were used; others
-    were `dropped` because one value was infinite, as the PSNR of identical frames, or missing.
+    Attributes
+    ----------
+    shift : float
+        Hodges' and Lehmann's median shift, variant minus reference.
+    lower, upper : float
+        Its bootstrap interval over clusters (probe sites), infinite when there is only one.
+    p : float
+        Of Wilcoxon's signed-rank test over frames, two-sided, and 1 when nothing differs. It takes frames for
+        independent, so it speaks of these frames and not of other sites.
+    p_sites : float
+        Of the same test on one mean a cluster: it speaks of sites like these. Below six clusters it cannot reach 5 %.
+    effect : float
+        The matched-pairs rank-biserial correlation, -1 to 1.
+    n : int
+        Pairs that were used.
+    dropped : int
+        Pairs that were not, because one value was infinite, as the PSNR of identical frames, or missing.
+    clusters : int
+        How many there are.
     """
 
     shift: float
@@ -66,32 +89,40 @@ def _bootstrap_shifts(
     it, and the interval would exclude it. About 32 levels or more lie between the quartiles.
     Differences are clipped at 256 interquartile ranges from the estimate.
     """
-    centre, spread = hodges_lehmann(differences), stats.iqr(differences)
+    centre = hodges_lehmann(differences)
+    spread = stats.iqr(differences)
     if spread > 0:
         differences = np.clip(differences, centre - 256 * spread, centre + 256 * spread)
-    if (span := np.ptp(differences)) == 0:
+    span = np.ptp(differences)
+    if span == 0:
         return np.full(resamples, centre)
-    levels = LATTICE if spread == 0 else LATTICE * 2 ** max(0, int(np.ceil(np.log2(span / spread / 16))))
+    levels = LATTICE
+    if spread > 0:
+        levels *= 2 ** max(0, int(np.ceil(np.log2(span / spread / 16))))
     spacing = span / (levels - 2)
     level = np.rint((differences - centre) / spacing).astype(int)
     lowest = level.min()
-    level -= lowest
     names, member = np.unique(clusters, return_inverse=True)
     histograms = np.zeros((len(names), levels))
-    np.add.at(histograms, (member, level), 1.0)
+    np.add.at(histograms, (member, level - lowest), 1.0)
     shifts = np.empty(resamples)
     uniform = np.full(len(names), 1.0 / len(names))
-    some = 256 * LATTICE // levels
-    for start in range(0, resamples, some):
-        draws = rng.multinomial(len(names), uniform, size=min(some, resamples - start))
-        counts = draws @ histograms
-        pairs = np.fft.irfft(np.fft.rfft(counts, 2 * levels) ** 2, 2 * levels)
-        pairs[:, ::2] += counts  # i = j counts whole, i < j half of the autoconvolution
-        total = np.cumsum(np.rint(pairs), axis=1)
-        half = total[:, -1:] / 2.0
-        middle = (np.argmax(total >= half, axis=1) + np.argmax(total > half, axis=1)) / 2.0
+    batch = 256 * LATTICE // levels
+    for start in range(0, resamples, batch):
+        draws = rng.multinomial(len(names), uniform, size=min(batch, resamples - start))
+        middle = _median_walsh_level(draws @ histograms)
         shifts[start : start + len(draws)] = centre + (middle / 2.0 + lowest) * spacing
     return shifts
+
+
+def _median_walsh_level(counts: np.ndarray) -> np.ndarray:
+    """(k,) float: twice the median Walsh average of k samples, of how often each has each level, (k, levels) float."""
+    levels = counts.shape[1]
+    pairs = np.fft.irfft(np.fft.rfft(counts, 2 * levels) ** 2, 2 * levels)
+    pairs[:, ::2] += counts  # i = j counts whole, i < j half of the autoconvolution
+    total = np.cumsum(np.rint(pairs), axis=1)
+    half = total[:, -1:] / 2.0
+    return (np.argmax(total >= half, axis=1) + np.argmax(total > half, axis=1)) / 2.0
 
 
 def _wilcoxon(differences: np.ndarray) -> float:
@@ -107,8 +138,7 @@ def paired_difference(
     """Compare two networks on the same frames: do *these two* differ?
 
     Percentiles of a bootstrap over few clusters are too narrow; they are taken further out, by what Student's t asks
-    for at that number of clusters (Hesterberg 2015, "expanded percentiles"). Lengths that differ, NaN, and values
-    without a finite pair are a ValueError.
+    for at that number of clusters (Hesterberg 2015, "expanded percentiles").
 
     Parameters
     ----------
@@ -119,8 +149,14 @@ def paired_difference(
         its own cluster.
     resamples : int
         Of the bootstrap, whose interval aims at a coverage of 95 %.
+
+    Raises
+    ------
+    ValueError
+        When lengths differ, a value is NaN, or no pair is finite.
     """
-    values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64)
+    reference = np.asarray(reference, dtype=np.float64)
     labels = np.arange(values.size) if clusters is None else np.asarray(clusters)
     if values.ndim != 1 or values.shape != reference.shape or labels.shape != values.shape:
         raise ValueError(
@@ -132,10 +168,12 @@ def paired_difference(
     finite = np.isfinite(values) & np.isfinite(reference)
     if not finite.any():
         raise ValueError("no pair of finite values to compare")
-    differences, labels = values[finite] - reference[finite], labels[finite]
+    differences = values[finite] - reference[finite]
+    labels = labels[finite]
     rounding = 8 * np.finfo(float).eps * np.maximum(np.abs(values[finite]), np.abs(reference[finite]))
     differences[np.abs(differences) <= rounding] = 0.0  # means over other numbers of seeds round otherwise
-    lower, upper, groups = -np.inf, np.inf, len(np.unique(labels))
+    lower, upper = -np.inf, np.inf
+    groups = len(np.unique(labels))
     if groups > 1:
         shifts = _bootstrap_shifts(differences, labels, resamples, np.random.default_rng(0))
         tail = stats.norm.sf(stats.t.ppf((1 + LEVEL) / 2, groups - 1) * np.sqrt(groups / (groups - 1)))
@@ -204,13 +242,19 @@ def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples:
     rows = []
     for metric in ordered_metrics(list(per_image["metric"])):
         for variant, pairs in aligned_differences(per_image, metric, reference).items():
-            if np.isfinite(pairs[["value", "reference"]]).all(axis=1).any():
-                value, base, site = (pairs[name].to_numpy() for name in ("value", "reference", "site"))
-                difference = paired_difference(value, base, site, resamples=resamples)
-                rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
+            if not np.isfinite(pairs[["value", "reference"]]).all(axis=1).any():
+                continue
+            difference = paired_difference(
+                pairs["value"].to_numpy(),
+                pairs["reference"].to_numpy(),
+                clusters=pairs["site"].to_numpy(),
+                resamples=resamples,
+            )
+            rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
     table = pd.DataFrame(rows, columns=["variant", "reference", "metric", *PairedDifference.__annotations__])
     table = table.rename(columns={"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"})[list(PAIRED_COLUMNS)]
+    family = table["variant"] == RESIMULATION
     for p in ("p_holm", "p_sites_holm"):
-        table[p] = table.groupby(table["variant"] == RESIMULATION)[p].transform(lambda family: holm(family.to_numpy()))
+        table[p] = table.groupby(family)[p].transform(lambda values: holm(values.to_numpy()))
     order = ordered_variants(list(table["variant"]), reference)
     return table.sort_values("variant", key=lambda v: v.map(order.index), kind="stable", ignore_index=True)

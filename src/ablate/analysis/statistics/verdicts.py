@@ -1,6 +1,6 @@
 """Which components earn their keep: each on its one primary metric, by a rule that was written down before the runs."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from enum import StrEnum
 from functools import cache
@@ -9,22 +9,49 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.components import DEPTH, Component, level_with, with_undeclared
+from ablate.analysis.components import Component, with_undeclared
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
+from ablate.analysis.statistics.component_models import (
+    COSTS,
+    average_effect,
+    effect_at_full,
+    fitted,
+    judged_components,
+    levels_on,
+    require_judged,
+    runs_by,
+    sign_of,
+)
 from ablate.analysis.statistics.designs import Design
-from ablate.analysis.statistics.effects import LinearModel, fit_effects
+from ablate.analysis.statistics.effects import LinearModel
 from ablate.analysis.statistics.paired import holm, where_known
-from ablate.metrics import Direction, Group, metric_of
-from ablate.metrics.metric import FRAME_TIME
+from ablate.metrics import metric_of
 
 ALPHA = 0.05
-_COSTS = FRAME_TIME, "parameters"  # some runs may lack them: a factor is then told by the others, or not at all
-UNDECLARED = "no primary metric and band were declared for it before the runs"
-VERDICT_COLUMNS = (
-    *("component", "metric", "effect", "lower", "upper", "band", "runs_a", "runs_b", "p_holm", "verdict"),
-    *("better", "p_band_holm", "dof", "full_effect", "full_lower", "full_upper", "least", "most"),
-    *("ms_per_frame", "parameters", "why"),
-)
+_TYPES = {  # of the columns
+    "component": "object",
+    "metric": "object",
+    "effect": "float64",
+    "lower": "float64",
+    "upper": "float64",
+    "band": "float64",
+    "runs_a": "Int64",
+    "runs_b": "Int64",
+    "p_holm": "float64",
+    "verdict": "object",
+    "better": "object",
+    "p_band_holm": "float64",
+    "dof": "Int64",
+    "full_effect": "float64",
+    "full_lower": "float64",
+    "full_upper": "float64",
+    "least": "float64",
+    "most": "float64",
+    "ms_per_frame": "float64",
+    "parameters": "float64",
+    "why": "object",
+}
+VERDICT_COLUMNS = tuple(_TYPES)
 
 
 class Verdict(StrEnum):
@@ -82,30 +109,38 @@ def verdict_table(
         component adds), and why it is undecided. What the runs cannot tell is missing.
     """
     components = with_undeclared(components, [] if design is None else design.factors)
-    model_by = cache(lambda metric: _fitted(metric, means, design, components))
-    has = pd.DataFrame()  # a row a cell: which components it has
-    if design is not None:
-        has = pd.DataFrame({f: design.cells[f] == on for f, on in _levels_on(design, components).items()})
-    rows = [_row(component, model_by, design, has, spreads or {}) for component in components]
+    model_of = cache(lambda metric: fitted(metric, means, design, components))
+    has = _has_components(design, components)
+    rows = [_row(component, model_of, design, has, spreads or {}) for component in components]
     table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "error", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
-    # Holm's test of a component at 5 % is a test at 5 % over this factor, at most the number of tests.
-    p = table[["p", "p_band", "p_holm", "p_band_holm"]].astype(float)
-    factor = {name: (p[f"{name}_holm"] / p[name]).where(p[name] > 0, p[name].count()) for name in ("p", "p_band")}
-    dof, error = table["dof"].astype(float), table["error"]
-    table["least"] = table["improvement"] - error * stats.t.isf(ALPHA / 2 / factor["p"], dof)
-    table["most"] = table["improvement"] + error * stats.t.isf(ALPHA / factor["p_band"], dof)
+    dof = table["dof"].astype(float)
+    error = table["error"]
+    table["least"] = table["improvement"] - error * stats.t.isf(ALPHA / 2 / _holm_factor(table, "p"), dof)
+    table["most"] = table["improvement"] + error * stats.t.isf(ALPHA / _holm_factor(table, "p_band"), dof)
     # A missing p-value is below no level: undecided.
     judged = table[["improvement", "p_holm", "p_band_holm"]].to_numpy(float)
     table["verdict"] = [str(verdict(*row)) for row in judged]
     table["why"] = table["why"].astype(object)
-    open_ = table["p_holm"].notna() & (table["verdict"] == Verdict.undecided)
-    table.loc[open_, "why"] = "its improvement is neither shown to be above zero nor below the band"
-    words = ("component", "metric", "verdict", "better", "why")
-    types = {name: "float64" for name in VERDICT_COLUMNS if name not in words}
-    return table[list(VERDICT_COLUMNS)].astype(types | dict.fromkeys(("runs_a", "runs_b", "dof"), "Int64"))
+    is_open = table["p_holm"].notna() & (table["verdict"] == Verdict.undecided)
+    table.loc[is_open, "why"] = "its improvement is neither shown to be above zero nor below the band"
+    return table[list(VERDICT_COLUMNS)].astype({name: kind for name, kind in _TYPES.items() if kind != "object"})
+
+
+def _has_components(design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
+    """A row a cell of the design and a column a factor: whether the cell has the component."""
+    if design is None:
+        return pd.DataFrame()
+    return pd.DataFrame({factor: design.cells[factor] == on for factor, on in levels_on(design, components).items()})
+
+
+def _holm_factor(table: pd.DataFrame, name: str) -> pd.Series:
+    """Holm's test of a component at 5 % is a test at 5 % over this factor, at most the number of tests."""
+    p = table[name].astype(float)
+    corrected = table[f"{name}_holm"].astype(float)
+    return (corrected / p).where(p > 0, p.count())
 
 
 def improvements(means: pd.DataFrame, design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
@@ -116,15 +151,17 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
     runs that have the component. Where no run goes without two, those without another one tell nothing: left out.
     """
     tables = []
-    for component, model in _judged(means, design, components, interactions=False):
+    for component, model in judged_components(means, design, components, interactions=False):
         assert design is not None  # or none could be judged
-        runs = _runs_by(str(component.metric), means, design, components)
+        runs = runs_by(str(component.metric), means, design, components)
         on = runs[component.key].cat.codes.to_numpy() == 1
-        effect, _ = model.contrast(_of_component(component, model))
-        improvement = _sign(component) * (model.residuals + effect * on)
+        effect, _ = model.contrast(average_effect(component, model))
+        improvement = sign_of(component) * (model.residuals + effect * on)
         table = runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement)
         lacking = runs[design.factors].apply(lambda levels: levels.cat.codes == 0).sum(axis=1)
-        tables.append(table if lacking.max() > 1 else table[(lacking == 0) | ~on])
+        if lacking.max() <= 1:
+            table = table[(lacking == 0) | ~on]
+        tables.append(table)
     names = ["component", "variant", "seed", "on", "improvement"]
     return pd.concat(tables, ignore_index=True)[names] if tables else pd.DataFrame(columns=names)
 
@@ -137,22 +174,23 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
     Benjamini and Hochberg 1995; NaN where `factorial_effects` gives no p).
     """
     components = with_undeclared(components, [] if design is None else design.factors)
-    named = {component.key: component.name for component in components}
+    names = {component.key: component.name for component in components}
     rows = []
-    for component, model in _judged(means, design, components):
+    for component, model in judged_components(means, design, components):
         for k, term in enumerate(model.terms):
-            if len(term) == 2 and component.key in term:
-                other = named[term[0] if term[1] == component.key else term[1]]
-                told = model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS
-                p = model.p_value(np.eye(len(model.terms))[k]) if told else np.nan
-                rows.append((component.name, other, _sign(component) * model.effects[k], p))
+            if len(term) != 2 or component.key not in term:
+                continue
+            other = term[0] if term[1] == component.key else term[1]
+            testable = model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS
+            p = model.p_value(np.eye(len(model.terms))[k]) if testable else np.nan
+            rows.append((component.name, names[other], sign_of(component) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
     return table.assign(q=where_known(stats.false_discovery_control, table["q"]).astype("float64"))
 
 
 def _row(
     component: Component,
-    model_by: Callable[[str], LinearModel],
+    model_of: Callable[[str], LinearModel],
     design: Design | None,
     has: pd.DataFrame,
     spreads: Mapping[str, float],
@@ -160,105 +198,36 @@ def _row(
     """What `verdict_table` and the rule need of one component, by column."""
     row: dict[str, object] = {"component": component.name, "metric": component.metric, "band": component.band}
     try:
-        metric, band = _require_judged(component, design)
-        model = model_by(metric)
-    except ValueError as why:
-        return row | {"why": str(why)}
-    for cost in _COSTS:
-        with suppress(ValueError):  # not measured
-            if (weights := _of_component(component, model_by(cost))).any():  # measured with it and without
-                added = model_by(cost).contrast(weights)[0]
-                row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
-    averaged, at_full = (_of_component(component, model, full=full) for full in (False, True))
-    others = [key for key in has if key != component.key]
-    of_full = has.loc[has[others].all(axis=1), component.key]  # whether it is on, where all others are
-    if of_full.nunique() < 2 and not all({(component.key, k), (k, component.key)} & {*model.terms} for k in others):
-        at_full = at_full * np.nan  # these runs cannot tell it
-    effect, error = model.contrast(averaged)
-    off, on = (int(n) for n in model.runs[model.terms.index((component.key,))])
+        metric, band = require_judged(component, design)
+        model = model_of(metric)
+    except ValueError as reason:
+        return row | {"why": str(reason)}
+    row |= _added_costs(component, model_of, spreads)
+    average = average_effect(component, model)
+    at_full = effect_at_full(component, model, has)
+    effect, error = model.contrast(average)
+    off, on = (int(count) for count in model.runs[model.terms.index((component.key,))])
     row |= {"effect": effect, "full_effect": model.contrast(at_full)[0], "runs_a": on, "runs_b": off, "dof": model.dof}
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
-    row["lower"], row["upper"] = model.interval(averaged)
+    row["lower"], row["upper"] = model.interval(average)
     row["full_lower"], row["full_upper"] = model.interval(at_full)
-    improvement = _sign(component) * effect
+    improvement = sign_of(component) * effect
     below = float(stats.t.cdf((improvement - band) / error, model.dof)) if error > 0 else float(improvement >= band)
-    return row | {"improvement": improvement, "error": error, "p": model.p_value(averaged), "p_band": below}
+    return row | {"improvement": improvement, "error": error, "p": model.p_value(average), "p_band": below}
 
 
-def _require_judged(component: Component, design: Design | None) -> tuple[str, float]:
-    """A component's metric and band; raises ValueError where it cannot be judged by them, and the message says why."""
-    if component.metric is None or component.band is None:
-        raise ValueError(UNDECLARED)
-    judge = metric_of(component.metric)
-    if not judge.computed and judge.group is not Group.cost:
-        raise ValueError("its metric is not known to this command: name it in metrics=")
-    if judge.better is Direction.none or judge.group is Group.cost:  # all runs of a network have one measured time
-        raise ValueError("it has no metric that judges it")
-    if design is None or component.key not in design.factors:
-        raise ValueError("no run goes without it")
-    here, there = design.cells[component.key].cat.categories
-    on = set(component.levels_on)
-    told = component.off is None or {here, there} - on == {component.off}
-    told &= component.on is None or len({here, there} & on) == 1
-    if component.key == DEPTH and component.off is not None:  # small frames may have a level less
-        told = abs(here - there) >= abs(component.on - component.off) - 1  # type: ignore[operator]
-    if not told:
-        raise ValueError(f"the runs compare {here} with {there}")
-    return component.metric, component.band
-
-
-def _judged(
-    means: pd.DataFrame, design: Design | None, components: Sequence[Component], interactions: bool = True
-) -> Iterator[tuple[Component, LinearModel]]:
-    """The components that can be judged, each with the model of its primary metric."""
-    for component in components:
-        with suppress(ValueError):
-            metric, _ = _require_judged(component, design)
-            yield component, _fitted(metric, means, design, components, interactions)
-
-
-def _fitted(
-    metric: str, means: pd.DataFrame, design: Design | None, components: Sequence[Component], interactions: bool = True
-) -> LinearModel:
-    """The model of a metric: main effects, blocks, and two-way interactions if asked for; ValueError if there is none.
-
-    An effect is the mean of the runs with a component minus the mean of those without it.
-    """
-    if design is None or metric not in set(means["metric"]):
-        raise ValueError(f"no run was scored by {metric}")
-    runs = _runs_by(metric, means, design, components)
-    factors = [factor for factor in design.factors if metric not in _COSTS or runs[factor].nunique() > 1]
-    return fit_effects(runs, factors, interactions)
-
-
-def _runs_by(metric: str, means: pd.DataFrame, design: Design, components: Sequence[Component]) -> pd.DataFrame:
-    """The runs by a metric, with the level that has the component as the second one of every factor.
-
-    A metric that is best at 0 is replaced by its absolute value.
-    """
-    runs = means[means["metric"] == metric]
-    if metric_of(metric).better is Direction.zero:
-        runs = runs.assign(value=runs["value"].abs())
-    for factor, on in _levels_on(design, components).items():
-        runs = runs.assign(
-            **{factor: runs[factor].cat.set_categories([*(set(runs[factor].cat.categories) - {on}), on])}
-        )
-    return runs
-
-
-def _levels_on(design: Design, components: Sequence[Component]) -> dict[str, object]:
-    """By factor of a design, the level that has the component."""
-    switched = {component.key: component for component in with_undeclared(components, design.factors)}
-    return {f: level_with(switched[f], list(design.cells[f].cat.categories)) for f in design.factors}
-
-
-def _of_component(component: Component, model: LinearModel, full: bool = False) -> np.ndarray:
-    """(terms,) weights of the effect of a component; with `full` where all others are on, else averaged."""
-    return np.array([component.key in term and (full or len(term) == 1) for term in model.terms], dtype=np.float64)
-
-
-def _sign(component: Component) -> int:
-    """1 where larger values of its metric are better, and -1 where smaller ones are."""
-    return 1 if metric_of(str(component.metric)).better is Direction.higher else -1
+def _added_costs(
+    component: Component, model_of: Callable[[str], LinearModel], spreads: Mapping[str, float]
+) -> dict[str, float]:
+    """What a component adds, by cost that was measured with it and without; 0 where it is within the spread."""
+    costs = {}
+    for cost in COSTS:
+        with suppress(ValueError):  # not measured
+            model = model_of(cost)
+            weights = average_effect(component, model)
+            if weights.any():
+                added, _ = model.contrast(weights)
+                costs[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
+    return costs
