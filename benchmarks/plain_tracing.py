@@ -1,6 +1,6 @@
 """The path tracer as anybody would write it first: one ray at a time, in plain Python, through every triangle.
 
-`transport/tracing.py` does the same for all rays of a frame at once, compiled, with Embree. A test finds equal echoes
+`transport/advance.py` does the same for all rays of a frame at once, compiled, with Embree. A test finds equal echoes
 with both, tests/ultrasound/test_plain_tracing.py. The reasons of the constants are in `transport/bounce.py`, and the
 equations in docs/simulator.md, sections 5 and 6. Left out here are the illumination and `depth_mode=time_of_flight`.
 """

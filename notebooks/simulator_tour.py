@@ -37,13 +37,13 @@ from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
 from ablate.ultrasound.probe import fan_of, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
 from ablate.ultrasound.stages import Stage, observe_stages
-from ablate.ultrasound.surfaces.embree import Geometry, asked_ray
+from ablate.ultrasound.surfaces.embree import asked_ray
+from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
 from ablate.ultrasound.transport import tracing
+from ablate.ultrasound.transport.advance import advance, grown
 from ablate.ultrasound.transport.rays import MAX_ROWS
-from ablate.ultrasound.transport.tracing import _advance as advance
-from ablate.ultrasound.transport.tracing import _grown as grown
 
 study = found_study()
 run = study.usable.runs[0]  # scene, probe and simulator are the same for all
@@ -215,8 +215,8 @@ def note_paths(stage, function, arguments):
         return function(*arguments)
     geometry = arguments[0]
 
-    def one_by_one(address, arrays, n, received, view, ways, table, rows, nodes):
-        """What `_bounces` does, with a note of where each ray begins and ends."""
+    def one_by_one(address, arrays, n, received, view, table, rows, nodes):
+        """What `bounces` does, with a note of where each ray begins and ends."""
         rays, inside, echoes = arrays
         while n and (rows >= MAX_ROWS or (rays["interfaces"][:n] < rows).all()):
             origins, directions = (np.ascontiguousarray(rays[name][:n]) for name in ("origin", "direction"))
@@ -224,12 +224,12 @@ def note_paths(stage, function, arguments):
             ends = origins + np.minimum(hits.distance_mm, 200)[:, None] * directions
             segments.append((origins, ends, hits.structure >= 0))
             rays, inside, echoes = grown(rays, 2 * n), grown(inside, 2 * n), grown(echoes, received + n)
-            room = rays, inside, echoes[received:]
-            n, count = advance(address, asked_ray(), room, n, view, ways, table, nodes)
+            embree = address, asked_ray()
+            n, count = advance(embree, rays, inside, echoes[received:], n, view, table, nodes)
             received += count
         return (rays, inside, echoes), n, received
 
-    with patch.object(tracing, "_bounces", one_by_one):
+    with patch.object(tracing, "bounces", one_by_one):
         return function(*arguments)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from ablate.anatomy import Scene
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.media import plan_scene
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
 from ablate.ultrasound.transport.tracing import trace

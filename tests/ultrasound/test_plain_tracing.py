@@ -10,7 +10,7 @@ import pytest
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.media import plan_scene
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.transport.rays import MAX_ROWS, Draws, at_pose, probe_rays, tabulated
 from support.traced_rays import follow
 

@@ -15,7 +15,8 @@ from embreex.rtcore_scene import EmbreeScene
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.surfaces import embree
-from ablate.ultrasound.surfaces.embree import RAY_HIT, Geometry
+from ablate.ultrasound.surfaces.embree import RAY_HIT
+from ablate.ultrasound.surfaces.geometry import Geometry
 from support.traced_rays import follow, illumination
 
 

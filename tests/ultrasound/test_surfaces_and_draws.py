@@ -7,7 +7,13 @@ import pytest
 from scipy.stats import kstest
 
 from ablate.ultrasound.transport import rays
-from ablate.ultrasound.transport.bounce import Interface, refracted, rough_normal, scatter_about, transmission_cosine
+from ablate.ultrasound.transport.scattering import (
+    Interface,
+    refracted,
+    rough_normal,
+    scatter_about,
+    transmission_cosine,
+)
 
 ANGLES = np.radians([0.0, 5.0, 20.0, 40.0, 60.0, 85.0])
 Vector = tuple[float, float, float]

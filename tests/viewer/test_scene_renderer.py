@@ -23,7 +23,7 @@ from ablate.training import TrainingPrecision
 from ablate.training.inference import chosen_precision
 from ablate.ultrasound import Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
-from ablate.ultrasound.surfaces import embree
+from ablate.ultrasound.surfaces import geometry as surfaces
 from ablate.viewer.fast_generator import FastGenerator
 from ablate.viewer.generators import first_fitting, open_generator, pickable
 from ablate.viewer.scene_renderer import SceneRenderer, coarse
@@ -55,14 +55,14 @@ def test_moving_it_has_the_same_maps_and_a_coarser_image() -> None:
 
 
 def test_depth_and_frequency_change_without_building_embree_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    built, build = [], embree.Geometry.__init__
+    built, build = [], surfaces.Geometry.__init__
 
-    def counted(geometry: embree.Geometry, *given: Any) -> None:
+    def counted(geometry: surfaces.Geometry, *given: Any) -> None:
         built.append(1)
         build(geometry, *given)
 
     engine = SceneRenderer(BODY, STATE.pose[None])
-    monkeypatch.setattr(embree.Geometry, "__init__", counted)
+    monkeypatch.setattr(surfaces.Geometry, "__init__", counted)
     engine.render(STATE, Quality.full)
     for probe in (replace(STATE.probe, depth_mm=90.0), replace(STATE.probe, frequency_mhz=5.0)):
         views = engine.render(replace(STATE, probe=probe), Quality.full)

@@ -89,7 +89,26 @@ def mapping(value: Any, where: str, keys: Collection[str]) -> Mapping[str, Any]:
 
 
 def file_named(name: Any, suffixes: tuple[str, ...], folder: Path, where: str) -> Path:
-    """The file of this name within the folder of the `scene.yaml`, if it is there and ends in one of the suffixes."""
+    """The file of this name within the folder of the `scene.yaml`.
+
+    Parameters
+    ----------
+    name : object
+        What stands in the file.
+    suffixes : tuple of str
+        Endings that are allowed.
+    folder : Path
+        That of the `scene.yaml`.
+    where : str
+        The key, for messages.
+
+    Raises
+    ------
+    FileNotFoundError
+        When it is not there.
+    ValueError
+        When it is no name, ends otherwise or lies elsewhere.
+    """
     if not isinstance(name, str) or not name.lower().endswith(suffixes):
         raise refusal(where, name, f"names of files that end in {', '.join(suffixes)}")
     if not os.path.isfile(folder / name):  # noqa: PTH113, it is False for a name that is too long

@@ -22,7 +22,7 @@ class Skin:
     """The outside of a scene with at least one structure, to be met by rays; `centre` is that of its bounds, mm."""
 
     def __init__(self, scene: Scene) -> None:
-        from ablate.ultrasound.surfaces.embree import Geometry  # pairs made elsewhere need no Embree
+        from ablate.ultrasound.surfaces.geometry import Geometry  # pairs made elsewhere need no Embree
 
         bounds = bounds_mm(s.mesh for s in scene.structures)
         self.centre = bounds.mean(axis=0)

@@ -18,9 +18,23 @@ _PERCENT = 98.0  # of A, which is made 1
 def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_mm: float, each: int = 1) -> np.ndarray:
     """exp(-cumulative sum of mu), mu = alpha f^b dz / 8.686, divided by its 98th percentile, at most 1.
 
-    `labels` are (scanlines, samples); the losses, (tissues,), are one way. The result, float32, is (scanlines, rows),
-    the means of `each` samples.
     The sum stays in the log domain, so thousands of dB neither underflow nor divide by zero.
+
+    Parameters
+    ----------
+    labels : (scanlines, samples) uint8
+        The tissue of each sample.
+    losses_db_mm : (tissues,) float
+        What each tissue takes of the amplitude, one way.
+    spacing_mm : float
+        From sample to sample.
+    each : int
+        Samples of a row.
+
+    Returns
+    -------
+    (scanlines, rows) float32
+        The means of `each` samples, in [0, 1].
     """
     nepers = losses_db_mm * (spacing_mm / DB_PER_NEPER)
     total, amplitude = np.empty(labels.shape), np.empty((len(labels), -(-labels.shape[1] // each)), np.float32)

@@ -54,7 +54,21 @@ def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
 
 
 def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, mode: DepthMode, full: bool) -> Media:
-    """Tables of some tissues; steps that no tissue in use needs are switched off unless `full`."""
+    """Tables of some tissues; steps that no tissue in use needs are switched off unless `full`.
+
+    Parameters
+    ----------
+    tissues : sequence of Tissue
+        All of the scene.
+    used : (n,) int
+        Those that something within reach is filled with.
+    frequency_mhz : float
+        Of the probe; attenuation depends on it.
+    mode : DepthMode
+        Whether depths are geometric or times of flight.
+    full : bool
+        Whether nothing is switched off.
+    """
     speed, impedance, specularity, roughness, thickness = (
         np.array([getattr(tissue, name) for tissue in tissues], np.float32)
         for name in ("speed_m_s", "impedance_mrayl", "specularity", "roughness", "thickness_mm")
@@ -97,9 +111,28 @@ class RenderPlan:
 def plan_scene(
     scene: Scene, probe: Probe, settings: SimulatorSettings, poses: Iterable[np.ndarray] | None
 ) -> RenderPlan:
-    """Leave out what cannot change an image seen from `poses`; no structure is left out when they are not known.
+    """Leave out what cannot change an image.
 
-    A scene with more tissues than labels, or a pose that is not rigid, is a ValueError.
+    Parameters
+    ----------
+    scene : Scene
+        All structures.
+    probe : Probe
+        How deep it sees.
+    settings : SimulatorSettings
+        How far beside its plane it sees, and whether anything is left out at all.
+    poses : iterable of (4, 4) float, or None
+        From where it looks; no structure is left out where they are not known.
+
+    Returns
+    -------
+    RenderPlan
+        The scene as the simulator uses it.
+
+    Raises
+    ------
+    ValueError
+        When the scene has more tissues than labels, or a pose is not rigid.
     """
     if len(scene.tissues) > _MAX_TISSUES:
         raise ValueError(f"scene {scene.name!r} has {len(scene.tissues)} tissues; at most {_MAX_TISSUES}")

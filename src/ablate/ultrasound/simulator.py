@@ -20,7 +20,7 @@ from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weight
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, fan_of
 from ablate.ultrasound.settings import Beam, ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
@@ -186,7 +186,8 @@ class Simulator:
 
     def _of(self, pose: np.ndarray, make: Make) -> Any:
         """What `make` gives for a pose in the geometry's world; it is kept until another pose comes."""
-        if (kept := self._kept.get(make)) is None or kept[0] != pose.tobytes():
+        kept = self._kept.get(make)
+        if kept is None or kept[0] != pose.tobytes():
             self._plan.check_reach(pose)
             local = pose.copy()
             local[:3, 3] -= self._origin_mm

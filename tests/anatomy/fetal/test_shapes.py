@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ablate.anatomy.fetal import shapes as sdf
-from ablate.anatomy.fetal.shapes import frames, spindle, tube
+from ablate.anatomy.fetal.tubes import frames, spindle, tube
 from ablate.anatomy.meshes.repair import odd_edges
 
 BOX = ((-40.0, -40.0, -40.0), (40.0, 40.0, 40.0))

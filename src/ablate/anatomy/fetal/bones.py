@@ -7,7 +7,8 @@ import trimesh
 
 from ablate.anatomy.fetal.body import SIDES, Limb, Limbs, finger_rays, outline, spine_y
 from ablate.anatomy.fetal.organs import EYE_CENTER
-from ablate.anatomy.fetal.shapes import Part, joined, rod, smooth_path, spindle, tube, unit
+from ablate.anatomy.fetal.shapes import Part, joined, unit
+from ablate.anatomy.fetal.tubes import rod, smooth_path, spindle, tube
 
 FEMUR_MM = 39.0
 SCAPULA_DEPTH_MM = 2.3  # of its middle under the skin

@@ -11,7 +11,8 @@ import numpy as np
 import trimesh
 
 from ablate.anatomy.fetal import shapes as sdf
-from ablate.anatomy.fetal.shapes import Part, joined, smooth_path, solids_in, spindle, tube, unit
+from ablate.anatomy.fetal.shapes import Part, joined, solids_in, unit
+from ablate.anatomy.fetal.tubes import smooth_path, spindle, tube
 
 BODY_BOX: sdf.Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
 SKIN_MM = 2.0

@@ -5,7 +5,8 @@ import trimesh
 
 from ablate.anatomy.fetal import shapes as sdf
 from ablate.anatomy.fetal.body import SIDES, TRUNK_BOX, WALL_INSIDE_MM, WALL_OUTSIDE_MM, above_diaphragm, spine_y, trunk
-from ablate.anatomy.fetal.shapes import Part, Vector, interpolated, joined, smooth_path, solids_in, spindle, tube
+from ablate.anatomy.fetal.shapes import Part, Vector, joined, solids_in
+from ablate.anatomy.fetal.tubes import interpolated, smooth_path, spindle, tube
 
 #: x, y and s of the umbilical vein, from the navel into the liver, where it turns to the right (the portal sinus).
 UMBILICAL_VEIN = (
@@ -179,26 +180,8 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
     cistern = sdf.intersection([behind, sdf.shrunk(skull, SKULL_MM + 0.7)], 1.0)
     cerebellum = sdf.union([sdf.ellipsoid((s * 6.6, 20.0, -13.5), (7.2, 5.8, 5.8)) for s in SIDES[::-1]], 4.0)
     cerebellum = sdf.intersection([cerebellum, sdf.shrunk(cistern, 1.0)], 1.0)
-    sheet = sdf.intersection(
-        [
-            lambda x, y, z: np.abs(x) - FALX_MM / 2.0 + 0.0 * (y + z),
-            sdf.shrunk(skull, SKULL_MM + 0.5),
-            sdf.outside(sdf.ellipsoid((0.0, -0.5, -9.0), (40.0, 21.5, 14.0))),
-            lambda x, y, z: -9.0 - z + 0.0 * (x + y),
-        ],
-        0.4,
-    )
-    halves = []  # of the diamond that the thalami make in an axial plane
-    for side in SIDES[::-1]:
-        turn = np.deg2rad(side * 16.0)
-        axes = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
-        halves.append(sdf.ellipsoid((side * 5.2, 5.0, 0.0), (4.4, 8.2, 5.6), axes))
-    thalami = sdf.union(halves, 0.8)
     cavum = sdf.box((0.0, -12.5, 1.0), (2.1, 4.4, 3.2), 1.2)
     third_ventricle = sdf.ellipsoid((0.0, 4.0, 0.0), (0.75, 5.6, 4.5))
-    x, y, z = EYE_CENTER
-    eyes = [sdf.ellipsoid((side * x, y, z), (5.2, 5.2, 5.2)) for side in SIDES[::-1]]
-    lenses = [sdf.ellipsoid((side * x, y - 3.4, z), (1.6, 0.9, 1.6)) for side in SIDES[::-1]]
     return [
         solid(skull, "fetal_bone", 0.95, "skull", 7.0),
         Part(joined(_sutures(scale, generator), "sutures"), "soft_tissue"),
@@ -207,12 +190,45 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
         solid(brain, "brain", 0.85, "brain", 7.0),
         solid(cistern, "csf", 0.7, "cisterna magna", 3.0),
         solid(cerebellum, "brain", 0.6, "cerebellum", 3.0),
-        solid(sheet, "falx", (0.35, 1.0, 1.0), "falx", (0.45, 7.0, 7.0)),
-        solid(thalami, "thalamus", 0.55, "thalami", 2.5),
+        solid(_falx(skull), "falx", (0.35, 1.0, 1.0), "falx", (0.45, 7.0, 7.0)),
+        solid(_thalami(), "thalamus", 0.55, "thalami", 2.5),
         solid(third_ventricle, "csf", (0.35, 0.6, 0.6), "third ventricle", (0.5, 1.5, 1.5)),
         solid(sdf.shrunk(cavum, -0.7), "falx", 0.5, "septa pellucida", 1.4),
         solid(cavum, "csf", 0.5, "cavum septi pellucidi", 1.4),
         *_ventricles(scale),
+        *_eyes(scale),
+    ]
+
+
+def _falx(skull: sdf.Field) -> sdf.Field:
+    """The sheet between the halves of the brain."""
+    return sdf.intersection(
+        [
+            lambda x, y, z: np.abs(x) - FALX_MM / 2.0 + 0.0 * (y + z),
+            sdf.shrunk(skull, SKULL_MM + 0.5),
+            sdf.outside(sdf.ellipsoid((0.0, -0.5, -9.0), (40.0, 21.5, 14.0))),
+            lambda x, y, z: -9.0 - z + 0.0 * (x + y),
+        ],
+        0.4,
+    )
+
+
+def _thalami() -> sdf.Field:
+    """Two halves, which make a diamond in an axial plane."""
+    halves = []
+    for side in SIDES[::-1]:
+        turn = np.deg2rad(side * 16.0)
+        axes = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+        halves.append(sdf.ellipsoid((side * 5.2, 5.0, 0.0), (4.4, 8.2, 5.6), axes))
+    return sdf.union(halves, 0.8)
+
+
+def _eyes(scale: float) -> list[Part]:
+    """Both eyes, and the lenses in them."""
+    x, y, z = EYE_CENTER
+    eyes = [sdf.ellipsoid((side * x, y, z), (5.2, 5.2, 5.2)) for side in SIDES[::-1]]
+    lenses = [sdf.ellipsoid((side * x, y - 3.4, z), (1.6, 0.9, 1.6)) for side in SIDES[::-1]]
+    return [
         sdf.several("csf", "eyes", eyes, HEAD_BOX, min(0.6 * scale, 3.2)),
         sdf.several("cartilage", "lenses", lenses, HEAD_BOX, min(0.35 * scale, 0.6)),
     ]

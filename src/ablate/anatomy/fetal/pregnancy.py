@@ -146,8 +146,19 @@ def _drawn_lie(turn: float, generator: np.random.Generator) -> tuple[Limbs, np.n
 def lie(head_down: bool, back_deg: float, oblique_deg: float, nod_deg: float) -> np.ndarray:
     """Columns are the fetus's left, back and head in the world.
 
-    `back_deg` says where its back points: 0 to the mother's front, 90 to her left. Its long axis is turned by
-    `oblique_deg` in her coronal and by `nod_deg` in her sagittal plane.
+    Parameters
+    ----------
+    head_down : bool
+        Whether its head points to the mother's feet.
+    back_deg : float
+        Where its back points: 0 to the mother's front, 90 to her left.
+    oblique_deg, nod_deg : float
+        How far its long axis is turned in her coronal and in her sagittal plane.
+
+    Returns
+    -------
+    (3, 3) float
+        A rotation.
     """
     back = np.array([np.sin(np.deg2rad(back_deg)), -np.cos(np.deg2rad(back_deg)), 0.0])
     head = np.array([0.0, 0.0, -1.0 if head_down else 1.0])

@@ -1,4 +1,4 @@
-"""Shapes of the built-in anatomy: signed distance fields (SDF), tubes swept along a curve, and their meshes.
+"""Shapes of the built-in anatomy: signed distance fields (SDF) and their meshes.
 
 A field is a function of three broadcastable arrays x, y, z (mm) that is negative inside the shape and, near
 the surface, about the distance to it in mm. Formulas after I. Quilez, "distance functions" (ellipsoid bound,
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.interpolate import make_interp_spline
 from skimage.measure import marching_cubes
 
 Vector = Sequence[float] | np.ndarray
@@ -52,7 +51,15 @@ def first_order_distance(level: np.ndarray, slope: np.ndarray, radius_mm: np.nda
 
 
 def capsule(start: Vector, end: Vector, radius: float, end_radius: float) -> Field:
-    """Tapered rod with round ends, from `start` to `end`."""
+    """Tapered rod with round ends.
+
+    Parameters
+    ----------
+    start, end : (3,) float
+        Middles of its ends, mm.
+    radius, end_radius : float
+        At the start and at the end, mm.
+    """
     axis = np.subtract(end, start)
     length2 = float(axis @ axis)
 
@@ -105,7 +112,18 @@ def shrunk(field: Field, by_mm: float) -> Field:
 def rippled(field: Field, seed: int, amplitude_mm: float, wavelength_mm: float, waves: int = 8) -> Field:
     """The shape with its surface moved by a seeded sum of plane waves of about one wavelength.
 
-    `amplitude_mm` is the standard deviation of the displacement.
+    Parameters
+    ----------
+    field : Field
+        The shape.
+    seed : int
+        Of the waves.
+    amplitude_mm : float
+        Standard deviation of the displacement.
+    wavelength_mm : float
+        From crest to crest, within 30 to 40 %.
+    waves : int
+        How many are summed.
     """
     generator = np.random.default_rng(seed)
     directions = unit(generator.normal(size=(waves, 3)))
@@ -124,11 +142,28 @@ def rippled(field: Field, seed: int, amplitude_mm: float, wavelength_mm: float, 
 
 
 def mesh_field(field: Field, bounds: Bounds, pitch_mm: float | Vector, name: str) -> trimesh.Trimesh:
-    """Closed, outward surface where the field is zero, mm, by marching cubes (Lewiner et al. 2003).
+    """Closed, outward surface where the field is zero, by marching cubes (Lewiner et al. 2003).
 
-    `bounds` is a box that holds the whole shape; the grid, of spacing `pitch_mm`, covers only the part of it that the
-    shape fills. `name` stands in messages and in `mesh.metadata["name"]`. Raises ValueError when the shape is empty or
-    leaves its box.
+    Parameters
+    ----------
+    field : Field
+        The shape: a signed distance, negative within.
+    bounds : Bounds
+        A box that holds the whole shape, mm; the grid covers only the part of it that the shape fills.
+    pitch_mm : float or (3,) float
+        Spacing of the grid.
+    name : str
+        Stands in messages and in `mesh.metadata["name"]`.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Vertices in mm.
+
+    Raises
+    ------
+    ValueError
+        When the shape is empty or leaves its box.
     """
     pitch = np.broadcast_to(np.asarray(pitch_mm, float), 3)
     lower, upper = np.array(bounds, float)
@@ -161,78 +196,6 @@ def unit(vectors: Vector) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
-    """Closed, outward tube of 2 n `sides` triangles with an elliptical cross-section; vertices in mm.
-
-    `path` (n, 3), mm, is its centre line; its ends are closed flat, so the tube is as long as the path. `radii` (n,) or
-    (n, 2), mm, are along `up` and across it. `up` is the first axis of the cross-section at the start, made normal to
-    the path; from there on it does not twist.
-    """
-    path = np.asarray(path, float)
-    radii = np.broadcast_to(np.asarray(radii, float).reshape(len(path), -1), (len(path), 2))
-    first, second = frames(path, up)
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    along = radii[:, :1, None] * np.cos(angle)[None, :, None] * first[:, None]
-    across = radii[:, 1:, None] * np.sin(angle)[None, :, None] * second[:, None]
-    vertices = np.concatenate([(path[:, None] + (along + across)).reshape(-1, 3), path[[0, -1]]])
-    i, j = np.meshgrid(np.arange(len(path) - 1), np.arange(sides), indexing="ij")
-    a, b = i * sides + j, i * sides + (j + 1) % sides
-    c, d = a + sides, b + sides
-    wall = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)], 2).reshape(-1, 3)
-    k = np.arange(sides)
-    last = (len(path) - 1) * sides
-    start_cap = np.stack([np.full(sides, len(vertices) - 2), (k + 1) % sides, k], -1)
-    end_cap = np.stack([np.full(sides, len(vertices) - 1), last + k, last + (k + 1) % sides], -1)
-    return trimesh.Trimesh(vertices, np.concatenate([wall, start_cap, end_cap]), process=False)
-
-
-def frames(path: np.ndarray, up: Vector) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit normals along a path (n, 3), each (n, 3), carried along without twist (parallel transport)."""
-    tangent = unit(np.gradient(path, axis=0))
-    first = np.empty_like(path)
-    normal = np.asarray(up, float)
-    for i, direction in enumerate(tangent):
-        first[i] = normal = unit(normal - direction * (direction @ normal))
-    return first, np.cross(tangent, first)
-
-
-def arc_length(path: np.ndarray) -> np.ndarray:
-    """Length of a path (n, 3) from its start to each of its points, (n,)."""
-    return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
-
-
-def interpolated(parameters: np.ndarray, knots: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """A path (n, 3), which is given at `knots` (n,), at other parameters (m,), linearly: (m, 3)."""
-    return np.stack([np.interp(parameters, knots, path[:, i]) for i in range(3)], axis=1)
-
-
-def smooth_path(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
-    """A cubic spline through the points (n, 3), sampled evenly in its parameter: (count, 3), mm."""
-    knots = np.asarray(points, float)
-    steps = arc_length(knots)
-    return make_interp_spline(steps, knots, k=min(3, len(knots) - 1))(np.linspace(0.0, steps[-1], count))
-
-
-def spindle(start: Vector, end: Vector, radii: Vector, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
-    """Ellipsoid with its long axis from `start` to `end`, and two radii: along `up` and normal to it."""
-    turn = np.linspace(0.04, np.pi - 0.04, max(4, sides // 2 + 1))
-    t = (1.0 - np.cos(turn))[:, None] / 2.0
-    path = (1.0 - t) * np.asarray(start, float) + t * np.asarray(end, float)
-    return tube(path, np.sin(turn)[:, None] * np.asarray(radii, float), sides, up)
-
-
-def rod(start: Vector, end: Vector, radius: float, sides: int, bow_mm: float = 0.0) -> trimesh.Trimesh:
-    """Long bone: blunt, flared ends, a waist, and a slight bow; as long as `start` to `end`."""
-    start, end = np.asarray(start, float), np.asarray(end, float)
-    t = (1.0 - np.cos(np.pi * np.linspace(0.0, 1.0, max(6, 2 * sides)))) / 2.0
-    along = end - start
-    side = unit(np.cross(along, [0.3, 0.5, 0.8]))
-    path = start + t[:, None] * along + bow_mm * (4.0 * t * (1.0 - t))[:, None] ** 2 * side
-    flare = 0.7 + 0.4 * np.exp(-((np.minimum(t, 1.0 - t) / 0.13) ** 2))
-    blunt = np.minimum(1.0, 0.72 + 12.0 * np.minimum(t, 1.0 - t))
-    return tube(path, radius * flare * blunt, sides, up=side)
-
-
 def joined(meshes: Sequence[trimesh.Trimesh], name: str) -> trimesh.Trimesh:
     """Several disjoint closed meshes as one; where they overlapped, crossings would cancel."""
     mesh = trimesh.util.concatenate(meshes)
@@ -248,7 +211,19 @@ class Part(NamedTuple):
 
 
 def several(tissue: str, name: str, fields: Sequence[Field], box: Bounds, pitch_mm: float) -> Part:
-    """Shapes that do not overlap, as one part."""
+    """Shapes that do not overlap, as one part.
+
+    Parameters
+    ----------
+    tissue, name : str
+        Of the part.
+    fields : sequence of Field
+        The shapes.
+    box : Bounds
+        Holds all of them, mm.
+    pitch_mm : float
+        Spacing of the grid, see `mesh_field`.
+    """
     return Part(joined([mesh_field(field, box, pitch_mm, name) for field in fields], name), tissue)
 
 

@@ -7,9 +7,10 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, maximum_filte
 from skimage.graph import route_through_array
 
 from ablate.anatomy.fetal.body import NAVEL_IN_TRUNK, curl
-from ablate.anatomy.fetal.mother import REACH_DEG, face_points, from_middle, placenta_field
+from ablate.anatomy.fetal.mother import REACH_DEG, Uterus, face_points, from_middle, placenta_field
 from ablate.anatomy.fetal.pregnancy import PITCH_MM, FreeSpace, Pregnancy
-from ablate.anatomy.fetal.shapes import Part, arc_length, frames, interpolated, joined, smooth_path, tube, unit
+from ablate.anatomy.fetal.shapes import Part, joined, unit
+from ablate.anatomy.fetal.tubes import arc_length, frames, interpolated, smooth_path, tube
 
 JELLY_MM = 4.5  # radius of the cord
 WIND_MM = 26.0  # length of one turn of the arteries
@@ -29,27 +30,13 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     Of the ways that touch nothing, the one through most pockets is taken. Returns the smooth path (n, 3), mm, from
     under the skin of the navel into the placenta, and its point on the placenta's fetal face, (3,), mm.
     """
-    space, uterus = pregnancy.fluid, pregnancy.uterus
+    space = pregnancy.fluid
     root = pregnancy.to_world(curl(np.array([*_ROOT_IN_TRUNK, NAVEL_IN_TRUNK])))
     leave = root[2] + 10.0 * unit(root[2] - root[1])
-    # a place near the middle of the placenta's face with much fluid before it
-    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45, 0.6), 10)
-    directions = from_middle(uterus.placenta, polar, np.tile(turn, 4))
-    points = face_points(uterus, placenta_field(uterus), directions)
-    inwards = unit(directions / uterus.radii)
-    chosen = int(np.argmax(np.minimum(space.clearance_at(points - 13.0 * inwards), 12.0) - 6.0 * polar))
-    insertion, into = points[chosen], inwards[chosen]
+    insertion, into = _insertion(pregnancy.uterus, space)
     arrive = insertion - 13.0 * into
     end = np.array([insertion, insertion + 6.0 * into])
-    # at most three places of the fluid that are farthest from everything, 35 mm apart
-    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
-    order = np.argsort(roomy, axis=None)[::-1][:200]
-    order = order[roomy.ravel()[order] > 1.6 * JELLY_MM]
-    pockets: list[np.ndarray] = []
-    for point in space.points.reshape(-1, 3)[order]:
-        if len(pockets) < 3 and all(np.linalg.norm(point - other) > 35.0 for other in pockets):
-            pockets.append(point)
+    pockets = _pockets(space)
     best, least = np.empty((0, 3)), -np.inf
     for stops in [*permutations(pockets, 3), *permutations(pockets[:2]), *((pocket,) for pocket in pockets), ()]:
         shortest = _by_way_of(space, [leave, *stops, arrive])
@@ -60,6 +47,30 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
         if room > ROOM_MM:
             break
     return smooth_path(best, 4 * len(best)), insertion
+
+
+def _insertion(uterus: Uterus, space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
+    """A point near the middle of the placenta's face with much fluid before it, and the way inwards there."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45, 0.6), 10)
+    directions = from_middle(uterus.placenta, polar, np.tile(turn, 4))
+    points = face_points(uterus, placenta_field(uterus), directions)
+    inwards = unit(directions / uterus.radii)
+    room = np.minimum(space.clearance_at(points - 13.0 * inwards), 12.0)
+    best = int(np.argmax(room - 6.0 * polar))
+    return points[best], inwards[best]
+
+
+def _pockets(space: FreeSpace) -> list[np.ndarray]:
+    """At most three places of the fluid that are farthest from everything, 35 mm apart."""
+    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
+    order = np.argsort(roomy, axis=None)[::-1][:200]
+    order = order[roomy.ravel()[order] > 1.6 * JELLY_MM]
+    pockets: list[np.ndarray] = []
+    for point in space.points.reshape(-1, 3)[order]:
+        if len(pockets) < 3 and all(np.linalg.norm(point - other) > 35.0 for other in pockets):
+            pockets.append(point)
+    return pockets
 
 
 def _by_way_of(space: FreeSpace, stops: list[np.ndarray]) -> np.ndarray:

@@ -46,12 +46,7 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
     """
     for number, structure in enumerate(scene.structures):
         vertices, faces = np.asarray(structure.mesh.vertices, np.float64), np.asarray(structure.mesh.faces)
-        if not (fault := repair.array_fault(vertices, faces)):
-            if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
-                fault = f"has no triangle with an area ({len(faces)} without)"
-            elif (hole := openings(vertices, faces))[0]:
-                advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
-                fault = f"is not closed: {hole[0]} open edges, the largest hole {hole[1]:.3g} mm wide; {advice}"
+        fault = repair.array_fault(vertices, faces) or _area_fault(vertices, faces) or _hole_fault(vertices, faces)
         if fault:
             raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {fault}")
     if not scene.structures:
@@ -65,6 +60,20 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
             "deep; are the vertices in mm?",
             stacklevel=3,  # whoever builds the simulator
         )
+
+
+def _area_fault(vertices: np.ndarray, faces: np.ndarray) -> str:
+    if repair.have_area(vertices, faces[:_FIRST]).any() or repair.have_area(vertices, faces).any():
+        return ""
+    return f"has no triangle with an area ({len(faces)} without)"
+
+
+def _hole_fault(vertices: np.ndarray, faces: np.ndarray) -> str:
+    edges, width_mm = openings(vertices, faces)
+    if not edges:
+        return ""
+    advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
+    return f"is not closed: {edges} open edges, the largest hole {width_mm:.3g} mm wide; {advice}"
 
 
 def largest_extent_mm(scene: Scene) -> float:

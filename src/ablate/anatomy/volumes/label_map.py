@@ -94,7 +94,8 @@ def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     import nibabel
 
     image: Any = nibabel.load(path)
-    if (unit := image.header.get_xyzt_units()[0]) not in ("mm", "unknown"):
+    unit = image.header.get_xyzt_units()[0]
+    if unit not in ("mm", "unknown"):
         raise ValueError(f"its unit is {unit}; allowed is mm")
     is_known = image.header["sform_code"] > 0 or image.header["qform_code"] > 0
     shape = image.shape[:3] if set(image.shape[3:]) == {1} else image.shape  # a series of one volume
@@ -182,8 +183,21 @@ class LabelMap:
 def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], where: str) -> LabelMap:
     """Check `{file, tissues, body}`, and the headers of the files that it names.
 
-    Raises FileNotFoundError or ValueError when a file is missing or cannot be used, or a key or value is not as it
-    should be; `where` names the key.
+    Parameters
+    ----------
+    content : object
+        What stands in the `scene.yaml`.
+    folder : Path
+        Where it lies.
+    tissues : mapping of str to Tissue
+        Those that may be named.
+    where : str
+        The key, for messages.
+
+    Raises
+    ------
+    FileNotFoundError or ValueError
+        When a file is missing or cannot be used, or a key or value is not as it should be.
     """
     content = mapping(content, where, ("file", "tissues", "body"))
     volume = check_volume(file_named(content.get("file"), SUFFIXES, folder, f"{where}.file"), f"{where}.file")

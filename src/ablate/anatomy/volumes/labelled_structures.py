@@ -40,13 +40,28 @@ logger = logging.getLogger(__name__)
 def label_surface(
     order: np.ndarray, number: int, box: Sequence[slice], spacing_mm: Sequence[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3) float64, in voxel indices, and faces (m, 3) of the surface around the voxels of one number.
+    """The surface around the voxels of one number.
 
     Its level is the one at which the volume that the structure owns is that of its voxels. What lies outside the
     volume counts as 0, so a structure that is cut by the volume's border is closed there.
 
-    `order`, (x, y, z) uint8, says which structure each voxel belongs to, 1 and up in the order of the list, 0 for none.
-    `box` is that of all voxels of the number, as `scipy.ndimage.find_objects` gives it.
+    Parameters
+    ----------
+    order : (x, y, z) uint8
+        Which structure each voxel belongs to, 1 and up in the order of the list, 0 for none.
+    number : int
+        The structure.
+    box : sequence of slice
+        Holds all its voxels, as `scipy.ndimage.find_objects` gives it.
+    spacing_mm : (3,) float
+        From voxel to voxel.
+
+    Returns
+    -------
+    vertices : (n, 3) float64
+        In voxel indices.
+    faces : (m, 3) int
+        Of the surface.
     """
     blocks = _blocks(order, number, box, _margin(spacing_mm))
     level, voxels = 0.0, int((order[tuple(box)] == number).sum())

@@ -22,7 +22,8 @@ def proposed_labels(paths: Sequence[Path], tissue_of_name: Callable[[str], tuple
     A ValueError says which file is not a volume, or that none holds labels.
     """
     volumes = [check_volume(path, "scene.folder") for path in paths]
-    counts = {volume.path: count for volume in volumes if (count := _counts(volume))}
+    counts = {volume.path: _counts(volume) for volume in volumes}
+    counts = {path: count for path, count in counts.items() if count}
     if not counts:
         raise ValueError(f"scene.folder: {paths[0].parent} has no labels; allowed are up to {_MOST} whole numbers")
     labels = max((v for v in volumes if v.path in counts), key=lambda v: len(counts[v.path]))

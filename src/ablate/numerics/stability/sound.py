@@ -11,8 +11,8 @@ from ablate.numerics.stability.checks import AHEAD, FLOAT32, GEL, PROBE, SMALL, 
 from ablate.ultrasound import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import axial_kernel
 from ablate.ultrasound.probe import sample_depths_mm
-from ablate.ultrasound.transport.bounce import pressure_reflection, refracted, transmission_cosine
 from ablate.ultrasound.transport.lines import NODES
+from ablate.ultrasound.transport.scattering import pressure_reflection, refracted, transmission_cosine
 
 BONE = Tissue("bone", 3200, 7.8, 40.0, 0.6, 0.0, 1.0, roughness=0.0)
 GAS = Tissue("gas", 330, 4e-4, 0.0, 0.0, 0.0, 0.0, roughness=0.0)

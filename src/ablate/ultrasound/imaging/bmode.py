@@ -162,11 +162,27 @@ class SignalChain:
     def image(
         self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The picture, (rows, scanlines) uint8, of what rays bring back, or of nothing; and its envelope.
-
-        The envelope is (scanlines, samples), and a row of the picture the mean grey level of `samples_per_row` of them.
+        """The picture of what rays bring back, or of nothing.
 
         The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
+
+        Parameters
+        ----------
+        prepared : Prepared or None
+            What rays have brought back at the pose; None where nothing can.
+        pose : (4, 4) float
+            From probe to world; the noise depends on it.
+        seed : int
+            Of the scatterers and of the noise.
+        display : Display, optional
+            What an operator sets of the picture.
+
+        Returns
+        -------
+        picture : (rows, scanlines) uint8
+            A row is the mean grey level of `samples_per_row` samples.
+        envelope : (scanlines, samples) float
+            Its amplitude before the gain.
         """
         settings, (noise, shift) = self.settings, self.noise(pose, seed)
         gain = self.gain / settings.reference_level

@@ -66,11 +66,27 @@ def layer_weights(probe: Probe, settings: SimulatorSettings) -> tuple[np.ndarray
 def lateral_kernels(
     probe: Probe, settings: SimulatorSettings, widen: float = 1.0, sidelobe_db: float = -np.inf
 ) -> np.ndarray:
-    """What each scanline gets of each other one, (blocks of depth, scanlines, scanlines), or (1, ...) if all are equal.
+    """What each scanline gets of each other one.
 
-    Rows sum to 1. The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`. Side lobes are `_SIDELOBES`
-    times as wide and of the power `sidelobe_db`. Of every two widths of the main lobe, at random, one is positive and
-    one negative, so that a smooth surface does not fill what lies beside it, and one bright point makes no row of dots.
+    The main lobe is a Gaussian. Side lobes are `_SIDELOBES` times as wide. Of every two widths of the main lobe, at
+    random, one is positive and one negative, so that a smooth surface does not fill what lies beside it, and one bright
+    point makes no row of dots.
+
+    Parameters
+    ----------
+    probe : Probe
+        Its scanlines.
+    settings : SimulatorSettings
+        How many there are, and how wide the main lobe is.
+    widen : float
+        Width of the main lobe, in units of `lateral_sigma`.
+    sidelobe_db : float
+        Power of the side lobes, that of the main lobe being 0 dB.
+
+    Returns
+    -------
+    (blocks of depth, scanlines, scanlines) float64
+        Rows sum to 1; one block where all are equal.
     """
     depth_mm = (np.arange(_BLOCKS) + 0.5) * probe.depth_mm / _BLOCKS
     sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
@@ -94,7 +110,8 @@ def _side_lobes(widths: np.ndarray) -> tuple[np.ndarray, float]:
     def lobes(far: np.ndarray) -> np.ndarray:
         return np.exp(-0.5 * (far / reach) ** 2) * np.interp(far, np.arange(len(at_widths)), at_widths)
 
-    return lobes(widths), 2 * float(np.trapezoid(lobes(fine := np.linspace(0, 6 * reach, 4001)) ** 2, fine))
+    fine = np.linspace(0, 6 * reach, 4001)
+    return lobes(widths), 2 * float(np.trapezoid(lobes(fine) ** 2, fine))
 
 
 @dataclass(frozen=True)

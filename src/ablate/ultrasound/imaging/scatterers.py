@@ -7,23 +7,18 @@ cells: with one each, three layers of some ten cells would not be fully develope
 
 import math
 import zlib
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import fourier_gaussian
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.compiled import Arrays, compiled, exponential
+from ablate.ultrasound.compiled import Arrays, compiled
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
 _TABLE_SEED = 20201
 _MASK = 0xFFFFFFFF
-_TEXTURE_SIDE = 64  # voxels of the periodic volume of smooth noise that is stretched for each tissue
-_TEXTURE_SMOOTHING = 1.2  # voxels; the correlation then falls to 1/e over twice that
-_VOXELS_PER_LENGTH = 2 * _TEXTURE_SMOOTHING
-_TEXTURE_SEED = 7
 ANCHOR_CELLS = 1 << 20  # float32 tells a sixteenth of a cell apart up to there
 _FACTORS = np.array([0x1B873593, 0x2545F491, 0x27D4EB2F], np.uint32)
 _MIXING = np.array([(15, 0x2C1B3C6D), (12, 0x297A2D39)], np.uint32)  # shift and factor: a 32-bit finaliser
@@ -69,11 +64,26 @@ def mix_seed(seed: int) -> np.uint32:
 def shared_cell_gain(
     directions: np.ndarray, spacing_mm: float, pitch_mm: float, kernel_correlation: np.ndarray
 ) -> np.ndarray:
-    """Power gained because neighbouring samples of a scanline can lie in one lattice cell, (n,) float, at least 1.
+    """Power gained because neighbouring samples of a scanline can lie in one lattice cell.
 
     Two points a vector v apart share a cell with probability prod_a max(0, 1 - |v_a| / pitch); the power of their
-    weighted sum is the sum of the kernel's autocorrelation, (lags,) and 1 at lag 0, times that. `directions`, (n, 3),
-    are unit vectors of the scanlines in world coordinates; `spacing_mm` lies between samples.
+    weighted sum is the sum of the kernel's autocorrelation times that.
+
+    Parameters
+    ----------
+    directions : (n, 3) float
+        Unit vectors of the scanlines in world coordinates.
+    spacing_mm : float
+        From sample to sample.
+    pitch_mm : float
+        Side of a cell.
+    kernel_correlation : (lags,) float
+        Autocorrelation of the axial kernel, 1 at lag 0.
+
+    Returns
+    -------
+    (n,) float
+        At least 1.
     """
     lags = np.arange(len(kernel_correlation)) * spacing_mm
     shared = np.maximum(0, 1 - np.abs(directions)[:, None, :] * lags[:, None] / pitch_mm).prod(axis=-1)
@@ -111,53 +121,6 @@ def shared_cell_gain_of_layers(starts_mm: np.ndarray, weights: np.ndarray, pitch
     return 1 + np.einsum("ld,lm,md->d", weights, shared, weights)
 
 
-@cache
-def texture_volume() -> np.ndarray:
-    """Periodic Gaussian noise, of unit variance when interpolated, (side + 1, ...) float32.
-
-    The first planes are repeated at the end, so that interpolation needs no wrapping.
-    """
-    generator = np.random.Generator(np.random.Philox(key=[_TEXTURE_SEED, 0]))
-    noise = generator.standard_normal((_TEXTURE_SIDE,) * 3)
-    smooth = np.fft.ifftn(fourier_gaussian(np.fft.fftn(noise), _TEXTURE_SMOOTHING)).real
-    neighbours = math.exp(-1 / (2 * _TEXTURE_SMOOTHING) ** 2)  # correlation of adjacent voxels
-    interpolated = (2 / 3 + neighbours / 3) ** 1.5  # standard deviation left, on average, between voxels
-    smooth = (smooth - smooth.mean()) / (smooth.std() * interpolated)
-    return np.pad(smooth, (0, 1), mode="wrap").astype(np.float32)
-
-
-def texture_start(seed: int) -> np.ndarray:
-    """Where in the volume the texture of a scatterers' seed begins, (3,), in lengths of the texture."""
-    generator = np.random.Generator(np.random.Philox(key=[_TEXTURE_SEED, int(mix_seed(seed))]))
-    return generator.random(3) * (_TEXTURE_SIDE / _VOXELS_PER_LENGTH)
-
-
-@compiled
-def texture_db(volume: np.ndarray, x: float, y: float, z: float, contrast: float) -> float:
-    """Gain in dB of the scatterers' amplitude at a point, in lengths of the texture, of unit mean power over a tissue.
-
-    g, from `texture_volume`, is normal with unit variance; the gain contrast * g has mean power exp(2 a^2), a =
-    contrast ln(10) / 20, which is taken off again.
-    """
-    a, b, c = _turned(x), _turned(y), _turned(z)
-    i, j, k = np.uint64(a), np.uint64(b), np.uint64(c)
-    a, b, c = a - i, b - j, c - k
-    g, one = 0.0, np.uint64(1)
-    for di in range(2):
-        for dj in range(2):
-            p, q = i + np.uint64(di), j + np.uint64(dj)
-            here, there = volume[p, q, k], volume[p, q, k + one]
-            g += (a if di else 1 - a) * (b if dj else 1 - b) * (here + c * (there - here))
-    return contrast * g - contrast * contrast * (math.log(10) / 20)
-
-
-@compiled
-def _turned(lengths: float) -> float:
-    """Where in the periodic volume a number of texture lengths lies, in voxels, at least 0 and below its side."""
-    turns = lengths * (_VOXELS_PER_LENGTH / _TEXTURE_SIDE)
-    return min((turns - math.floor(turns)) * _TEXTURE_SIDE, _TEXTURE_SIDE - 1e-6)
-
-
 class Samples(NamedTuple):
     """What a sample of a pose needs to know of its scatterer."""
 
@@ -170,65 +133,33 @@ class Samples(NamedTuple):
 
 
 @compiled
-def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures: Arrays, begin: int, end: int) -> None:
-    """Fill the amplitudes, (groups, samples), of some groups, from levels at nodes, (groups, nodes), and the texture.
-
-    The level is taken to coarse samples, with the texture added there, and interpolated between them. `lines` are
-    starts, directions, ranges in mm and tissues, (groups, samples); `textures` are (tissues, 4), three inverse lengths
-    and the contrast, the volume, where in it the texture begins, (3,) lengths, and the coarse samples' numbers.
-    """
-    starts, directions, ranges_mm, tissues = lines
-    of_tissue, volume, begins_at, coarse = textures
-    samples, nodes, places = amplitude.shape[1], node_db.shape[1], len(coarse)
-    level, first, factor = np.empty((3, places + 1))
-    begins = np.empty(places + 1, np.int64)
-    apart = (samples - 1) / max(places - 1, 1)
-    for row in range(begin, end):
-        for place in range(places):
-            node = place * ((nodes - 1) / max(places - 1, 1))
-            below = min(int(node), max(nodes - 2, 0))
-            above = min(below + 1, nodes - 1)
-            decibels = node_db[row, below] + (node - below) * (node_db[row, above] - node_db[row, below])
-            tissue = tissues[row, coarse[place]]
-            if of_tissue[tissue, 3] != 0:
-                r = ranges_mm[row, coarse[place]]
-                x = (starts[row, 0] + directions[row, 0] * r) * of_tissue[tissue, 0] + begins_at[0]
-                y = (starts[row, 1] + directions[row, 1] * r) * of_tissue[tissue, 1] + begins_at[1]
-                z = (starts[row, 2] + directions[row, 2] * r) * of_tissue[tissue, 2] + begins_at[2]
-                decibels += texture_db(volume, x, y, z, of_tissue[tissue, 3])
-            level[place] = decibels * (math.log(10) / 20)
-        level[places] = level[places - 1]
-        for place in range(places):
-            rise = (level[place + 1] - level[place]) / max(apart, 1e-9)
-            begins[place] = math.ceil(place * apart - 1e-9)
-            first[place], factor[place] = level[place] + rise * (begins[place] - place * apart), rise
-        begins[places] = samples
-        for place in range(places):
-            first[place], factor[place] = exponential(first[place]), exponential(factor[place])
-        for place in range(places):
-            value = first[place]
-            for sample in range(begins[place], begins[place + 1]):
-                amplitude[row, sample] = value
-                value *= factor[place]
-
-
-@compiled
 def sum_scatterers(
     total: np.ndarray, samples: Samples, lattice: tuple[np.float32, np.uint32], tissues: Arrays, begin: int, end: int
 ) -> None:
-    """Sum amplitude x scatterer over layers for some lines of `total`, (2, lines, samples).
+    """Sum amplitude x scatterer over layers for some scanlines.
 
-    A hash of the lattice cell that a sample lies in chooses its scatterer. `lattice` is cells a millimetre and the
-    seed, `tissues` which are silent, (tissues,) bool, and the tables, (tissues * TABLE_SIZE, 2).
+    A hash of the lattice cell that a sample lies in chooses its scatterer.
+
+    Parameters
+    ----------
+    total : (2, scanlines, samples) float
+        Real and imaginary part; is filled.
+    samples : Samples
+        Where they lie, and their amplitudes.
+    lattice : tuple of float32 and uint32
+        Cells a millimetre, and the seed.
+    tissues : tuple of array
+        Which are silent, (tissues,) bool, and the tables, (tissues * TABLE_SIZE, 2).
+    begin, end : int
+        The scanlines.
     """
     starts, directions, anchor, ranges_mm, held, amplitude = samples
     (cells_per_mm, seed), (silent, tables) = lattice, tissues
-    layers, _, count = amplitude.shape
     for line in range(begin, end):
         total[:, line] = 0
-        for layer in range(layers):
+        for layer in range(len(amplitude)):
             start, along = starts[layer, line], directions[layer, line]
-            for sample in range(count):
+            for sample in range(amplitude.shape[2]):
                 tissue, level = held[layer, line, sample], amplitude[layer, line, sample]
                 if silent[tissue] or level == 0:
                     continue

@@ -7,7 +7,7 @@ import numpy as np
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.imaging import scatterers
+from ablate.ultrasound.imaging import scatterers, texture
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, lateral_sigma, layer_weights
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
@@ -47,26 +47,18 @@ class Speckle:
         mm, labels (groups, samples) of the tissues, and ranges, mm, (samples,) or (groups, samples). `level_db`,
         (groups, nodes), is the illumination from the first sample to the last.
         """
-        (starts, directions, labels, ranges_mm), settings = lines, self._settings
-        shape = settings.layers, settings.scanlines, settings.axial_samples
-        gain = scatterers.shared_cell_gain(directions, self._spacing_mm, self._pitch_mm, self._kernel_correlation)
-        line_db = settings.scatterer_level_db - 10 * np.log10(gain)
+        starts, directions, labels, ranges_mm = lines
+        shape = self._settings.layers, self._settings.scanlines, self._settings.axial_samples
         nodes = level_db.shape[-1]
-        at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
-        own_db = line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]
-        own_db = own_db - self._across_db(starts[: shape[1]], directions[: shape[1]], at_nodes)
-        weights = 10 ** (self._weights_db[:, at_nodes] / 20)
-        of_layers = scatterers.shared_cell_gain_of_layers(starts[:: shape[1]], weights, self._pitch_mm)
-        own_db = own_db - 10 * np.log10(of_layers)
-        node_db = (level_db.reshape(*shape[:2], nodes) + own_db).reshape(-1, nodes)
+        node_db = level_db.reshape(*shape[:2], nodes) + self._own_db(starts, directions, nodes)
         ranges = np.broadcast_to(ranges_mm.astype(np.float32), labels.shape)
         textured = any((labels[:, :: self._stride] == tissue).any() for tissue in np.flatnonzero(self._textures[:, 3]))
         places = max(nodes, shape[2] // self._stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
         amplitude = np.empty(labels.shape, self._dtype)
         of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
-        texture = self._textures, scatterers.texture_volume(), scatterers.texture_start(seed), coarse
-        fill = partial(scatterers.insonify, amplitude, node_db, of_lines, texture)
+        textures = self._textures, texture.texture_volume(), texture.texture_start(seed), coarse
+        fill = partial(texture.insonify, amplitude, node_db.reshape(-1, nodes), of_lines, textures)
         in_parts(fill, len(labels), LINES_OF_A_PART)
 
         # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
@@ -85,6 +77,18 @@ class Speckle:
         add_up = partial(scatterers.sum_scatterers, summed, lines, lattice, (self._silent, self._tables))
         in_parts(add_up, summed.shape[1], LINES_OF_A_PART)
         return summed
+
+    def _own_db(self, starts: np.ndarray, directions: np.ndarray, nodes: int) -> np.ndarray:
+        """Level of the scatterers themselves, less what samples add that share a cell, (layers, scanlines, nodes)."""
+        layers, scanlines = self._settings.layers, self._settings.scanlines
+        at_nodes = np.rint(np.linspace(0, self._settings.axial_samples - 1, nodes)).astype(int)
+        gain = scatterers.shared_cell_gain(directions, self._spacing_mm, self._pitch_mm, self._kernel_correlation)
+        line_db = self._settings.scatterer_level_db - 10 * np.log10(gain)
+        own_db = line_db.reshape(layers, scanlines, 1) + self._weights_db[:, None, at_nodes]
+        own_db = own_db - self._across_db(starts[:scanlines], directions[:scanlines], at_nodes)
+        weights = 10 ** (self._weights_db[:, at_nodes] / 20)
+        of_layers = scatterers.shared_cell_gain_of_layers(starts[::scanlines], weights, self._pitch_mm)
+        return own_db - 10 * np.log10(of_layers)
 
     def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
         """What neighbouring scanlines of a layer add because they share lattice cells, (scanlines, depths), dB."""

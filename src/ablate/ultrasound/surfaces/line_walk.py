@@ -14,7 +14,8 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
-from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
+from ablate.ultrasound.surfaces.embree import KEEP, all_of, asked_line, asked_ray, at, surfaces_of
+from ablate.ultrasound.surfaces.geometry import Geometry
 
 _ROWS_OF_A_PART = 64
 Reach = tuple[np.ndarray, np.ndarray]  # how far before and how far beyond the starts n lines go, (n,) each, mm
@@ -85,9 +86,25 @@ def walk(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Follow straight rays, which begin outside everything, through every surface; all are asked for at once.
 
-    Starts and directions are (n, 3). Return the sets at the ends, (n, words) uint32; the value of each sample's owner,
-    (n, samples) uint8; and the distance along its line of the point that each sample displays, (n, samples) float32,
-    or (n, 0) where nothing is stretched. `samples` is None where only the ends matter.
+    Parameters
+    ----------
+    geometry : Geometry
+        The triangles.
+    starts, directions : (n, 3) float64
+        mm in the geometry's coordinates, and unit vectors.
+    reach_mm : tuple of two (n,) float64
+        How far before and how far beyond the starts the lines go.
+    samples : Samples, optional
+        What is asked of each line; without it only the ends matter.
+
+    Returns
+    -------
+    inside : (n, words) uint32
+        The sets at the ends.
+    values : (n, samples) uint8
+        The value of each sample's owner.
+    ranges_mm : (n, samples) float32
+        How far along its line the point lies that a sample displays; (n, 0) where nothing is stretched.
     """
     n, owners, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
     samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
@@ -147,7 +164,17 @@ def _fill(rows: Arrays, row: int, begin: int, end: int, places: Places, surface_
 
 @compiled
 def again(distances: np.ndarray, structures: np.ndarray, number: int, least_mm: float) -> bool:
-    """Whether a line has met this structure just before, as where it meets the edge between two triangles."""
+    """Whether a line has met this structure just before, as where it meets the edge between two triangles.
+
+    Parameters
+    ----------
+    distances, structures : (surfaces,) float32 and int32
+        What the line meets, in order.
+    number : int
+        Which of them is asked for.
+    least_mm : float
+        How near counts as just before.
+    """
     before = number - 1
     while before >= 0 and distances[number] - distances[before] <= least_mm:
         if structures[before] == structures[number]:

@@ -9,7 +9,7 @@ from ablate.ultrasound.media import RenderPlan, loss_db_mm
 from ablate.ultrasound.probe import pixel_coordinates_mm, sample_depths_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import DepthMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples, walk
 
 FACE_MRAYL = 1.5  # of the last of a probe's matching layers: as water and soft tissue
@@ -26,11 +26,27 @@ Lines = tuple[np.ndarray, np.ndarray]  # starts and unit directions, (n, 3) each
 def sample_lines(
     geometry: Geometry, starts: np.ndarray, directions: np.ndarray, samples: Samples
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What each sample of lines holds, (n, samples) uint8, and its distance along its line, (n, samples) float32, mm.
+    """What each sample of some lines holds.
 
     A line that does not end inside nothing has missed a surface: it jumped over a corner, or ran along an edge. It
     is followed again a few hundredths of a millimetre beside, so that one missed surface does not change all samples
-    behind it. `starts` and unit `directions` are (n, 3); distances are (n, 0) where nothing is stretched.
+    behind it.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The triangles.
+    starts, directions : (n, 3) float64
+        mm in the geometry's coordinates, and unit vectors.
+    samples : Samples
+        Where they lie on a line, and the value of each structure.
+
+    Returns
+    -------
+    values : (n, samples) uint8
+        The value of each sample's owner.
+    ranges_mm : (n, samples) float32
+        How far along its line a sample lies; (n, 0) where nothing is stretched.
     """
     back, ahead = geometry.through(starts, directions)
     inside, values, ranges_mm = walk(geometry, starts, directions, (back, ahead), samples)
@@ -56,9 +72,25 @@ def beside(directions: np.ndarray) -> np.ndarray:
 def segment(
     geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, fan: np.ndarray, pose: np.ndarray
 ) -> np.ndarray:
-    """1 + the tissue that owns each pixel's centre, 0 outside the fan, (H, W) uint8; one ray a pixel row, along x.
+    """1 + the tissue that owns each pixel's centre, 0 outside the fan; one ray a pixel row, along x.
 
-    `fan` is (H, W) bool, and `pose` takes probe coordinates to the geometry's.
+    Parameters
+    ----------
+    geometry : Geometry
+        The triangles.
+    tissue_of_owner : (structures + 1,) uint8
+        The tissue of the background, and of each structure.
+    probe : Probe
+        Its image.
+    fan : (H, W) bool
+        Which pixels are in the fan.
+    pose : (4, 4) float64
+        From probe to the geometry's coordinates.
+
+    Returns
+    -------
+    (H, W) uint8
+        The labels.
     """
     x, z = pixel_coordinates_mm(probe, fan.shape)
     starts = to_world(pose, np.stack([np.full_like(z, x[0]), np.zeros_like(z), z], axis=-1))
@@ -72,7 +104,26 @@ def segment(
 def plane_labels(
     geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, settings: SimulatorSettings, pose: np.ndarray
 ) -> np.ndarray:
-    """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8."""
+    """The tissue of each sample of the image plane's scanlines.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The triangles.
+    tissue_of_owner : (structures + 1,) uint8
+        The tissue of the background, and of each structure.
+    probe : Probe
+        Its scanlines.
+    settings : SimulatorSettings
+        How many scanlines and samples there are.
+    pose : (4, 4) float64
+        From probe to the geometry's coordinates.
+
+    Returns
+    -------
+    (scanlines, samples) uint8
+        Indices in `Scene.tissues`.
+    """
     starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1)))
     starts, directions = to_world(pose, starts), directions @ pose[:3, :3].T
     spacing = probe.depth_mm / settings.axial_samples
@@ -84,9 +135,27 @@ def plane_labels(
 def scanline_labels(
     geometry: Geometry, plan: RenderPlan, lines: Lines, probe: Probe, settings: SimulatorSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The tissue that each sample of each scanline and layer displays, (groups, samples) uint8.
+    """The tissue that each sample of each scanline and layer displays.
 
-    Also its distance along its line in mm, float32: (samples,) or, in time-of-flight mode, (groups, samples).
+    Parameters
+    ----------
+    geometry : Geometry
+        The triangles.
+    plan : RenderPlan
+        The tissues of its structures.
+    lines : tuple of two (groups, 3) float64
+        Starts, mm in the geometry's coordinates, and unit directions.
+    probe : Probe
+        How deep it sees.
+    settings : SimulatorSettings
+        How many samples there are, and what their depth means.
+
+    Returns
+    -------
+    labels : (groups, samples) uint8
+        Indices in `Scene.tissues`.
+    ranges_mm : (samples,) or, in time-of-flight mode, (groups, samples) float32
+        How far along its line a sample lies.
     """
     spacing = probe.depth_mm / settings.axial_samples
     stretched = settings.depth_mode is DepthMode.time_of_flight

@@ -48,11 +48,29 @@ _NEPER_PER_TWO_WAY_DB = 2 * _NEPER_PER_DB
 def echo_lines(
     echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes, weights: np.ndarray, rays: int, depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What rays bring back, the mean over the `rays` of a group: of those still in their beam, and of the others.
+    """What rays bring back, the mean over the rays of a group: of those still in their beam, and of the others.
 
-    `echoes` are (n,) ECHO, `gain_db`, (groups, nodes), is the aperture's for the former, and `weights`, (layers,
-    samples), are elevational and sum to 1 over layers. Returns amplitudes of surfaces, (scanlines, samples), real and
-    positive, so that they converge with the number of rays; and of reverberation, (scanlines, cells of some depth).
+    Parameters
+    ----------
+    echoes : (n,) ECHO
+        Of all rays.
+    gain_db : (groups, nodes) float64
+        The aperture's, for those in their beam.
+    nodes : Nodes
+        Where it is given.
+    weights : (layers, samples) float
+        Elevational; they sum to 1 over layers.
+    rays : int
+        Of each group.
+    depth_mm : float
+        Of the image.
+
+    Returns
+    -------
+    surfaces : (scanlines, samples) float64
+        Amplitudes, real and positive, so that they converge with the number of rays.
+    reverberation : (scanlines, cells) float64
+        The same for the others, in cells of some depth.
     """
     layers, samples = weights.shape
     lines = len(gain_db) // layers
@@ -95,11 +113,28 @@ def clutter_lines(
 ) -> np.ndarray:
     """Spread echoes of rays that have left their beam, few and out of focus, along and across the scanlines.
 
-    The sum is kept, times `gain`. The result is (scanlines, samples), or (0, samples) where there are no such
-    echoes. The power of the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in
-    it (a U-statistic; Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the
-    variance: bright bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so that such a
-    path is left out. With one of `sets` it is the sum itself, which needs few rays.
+    The sum is kept. The power of the sum is estimated without bias, from products x_i x_j of different lines' shares
+    i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too
+    large by the variance: bright bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so
+    that such a path is left out.
+
+    Parameters
+    ----------
+    reverberation : (scanlines, cells) float64
+        Their amplitudes.
+    samples : int
+        Of a scanline.
+    dtype : torch.dtype
+        Of the result.
+    gain : float
+        By which the sum is multiplied.
+    sets : int
+        Lines are dealt to so many; with one of them it is the sum itself, which needs few rays.
+
+    Returns
+    -------
+    (scanlines, samples) float
+        Amplitudes; (0, samples) where there are no such echoes.
     """
     if not reverberation.any():
         return torch.empty((0, samples), dtype=dtype).numpy()
@@ -152,10 +187,33 @@ def empty_nodes(labels: np.ndarray, anechoic: np.ndarray, depth_mm: float) -> No
 def passed(
     first_mm: float, spacing_mm: float, count: int, ray: Ray, medium: Medium, length_mm: float, weight: float
 ) -> tuple[int, int, float, float]:
-    """The nodes that a ray of this weight passes over a displayed length, from its last surface on: from and to before.
+    """The nodes that a ray passes over a displayed length, from its last surface on.
 
-    Also its amplitude at the first of them, and by which factor it falls from one to the next: so a length costs two
-    exponentials, however long it is.
+    A length costs two exponentials, however long it is.
+
+    Parameters
+    ----------
+    first_mm, spacing_mm : float
+        Depth of the first node, and from one to the next.
+    count : int
+        Of nodes.
+    ray : Ray
+        At its last surface.
+    medium : Medium
+        What it goes through.
+    length_mm : float
+        Displayed.
+    weight : float
+        Its amplitude without losses.
+
+    Returns
+    -------
+    first, last : int
+        From which node to before which one.
+    level : float
+        Amplitude at the first of them.
+    factor : float
+        By which it falls from one to the next.
     """
     to_mm, slope_db_mm = ray.displayed_mm + length_mm, medium.loss_db_mm / medium.stretch
     first = min(max(math.ceil((ray.displayed_mm - first_mm) / spacing_mm), 0), count)

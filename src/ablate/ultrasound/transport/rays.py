@@ -20,7 +20,7 @@ from ablate.ultrasound.media import Media
 from ablate.ultrasound.probe import layer_offsets_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.line_walk import inside_at, owners
 
 #: Interfaces that the table serves.
@@ -58,7 +58,20 @@ Ray = Any  # a row of an array of RAY, as compiled code takes it
 
 
 def stratified(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
-    """Uniform numbers, each stratified over the rays of a group, (dimensions, groups, rays) float32 in [0, 1)."""
+    """Uniform numbers, each stratified over the rays of a group.
+
+    Parameters
+    ----------
+    generator : numpy.random.Generator
+        Is advanced.
+    groups, rays, dimensions : int
+        How many groups there are, rays of each, and numbers of each ray.
+
+    Returns
+    -------
+    (dimensions, groups, rays) float32
+        In [0, 1).
+    """
     shape = (dimensions, groups, rays)
     order = np.argsort(generator.random(shape, np.float32), axis=-1).astype(np.float32)
     within = generator.random(shape, np.float32)
@@ -110,10 +123,10 @@ def unstratified(path_seed: np.uint64, interfaces: int, number: int) -> Drawn:
     azimuth = 2 * math.pi * u[COS_AZIMUTH]
     return Drawn(
         u[CHOICE],
-        np.float32(radius * abs(math.cos(2 * math.pi * u[SIN_AZIMUTH]))),
-        np.float32(math.log(max(u[LOG_U], 1e-30))),
-        np.float32(math.cos(azimuth)),
-        np.float32(math.sin(azimuth)),
+        float(np.float32(radius * abs(math.cos(2 * math.pi * u[SIN_AZIMUTH])))),
+        float(np.float32(math.log(max(u[LOG_U], 1e-30)))),
+        float(np.float32(math.cos(azimuth))),
+        float(np.float32(math.sin(azimuth))),
         u[SURVIVAL],
     )
 

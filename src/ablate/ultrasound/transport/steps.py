@@ -10,8 +10,9 @@ from ablate.ultrasound.compiled import Vector, step
 from ablate.ultrasound.media import Media, Medium, Surface
 from ablate.ultrasound.surfaces.embree import Asked, Hit, closest_of
 from ablate.ultrasound.surfaces.line_walk import next_step
-from ablate.ultrasound.transport.bounce import Interface, strays
+from ablate.ultrasound.transport.bounce import strays
 from ablate.ultrasound.transport.rays import Ray
+from ablate.ultrasound.transport.scattering import Interface
 
 
 @step
@@ -45,6 +46,15 @@ def goes_astray(ray: Ray, hit: Hit, start: Vector, straight: Vector) -> bool:
 
     Bone bends rays out of the body. Such a ray loses nothing in the anechoic background and would fill the shadow
     behind the bone, so it insonifies no scanline there that is in the body.
+
+    Parameters
+    ----------
+    ray : Ray
+        As it looks for its next surface.
+    hit : Hit
+        That surface.
+    start, straight : tuple of three float
+        Of the ray's straight way: mm, and a unit vector.
     """
     to_mm = hit.distance_mm if hit.structure >= 0 else ray.reach_mm
     return strays(origin_of(ray), direction_of(ray), to_mm, start, straight)
@@ -82,7 +92,24 @@ def is_fresh(ray: Ray, hit: Hit) -> bool:
 
 @step
 def move_up(ray: Ray, hit: Hit, medium: Medium, least_step_mm: float) -> float:
-    """Put a ray at the surface that it has met; how far beyond it is to look for the next one, mm."""
+    """Put a ray at the surface that it has met.
+
+    Parameters
+    ----------
+    ray : Ray
+        Is changed.
+    hit : Hit
+        The surface.
+    medium : Medium
+        What it went through.
+    least_step_mm : float
+        From a surface to where the search for the next one begins.
+
+    Returns
+    -------
+    float
+        How far beyond this surface it is to look for the next one, mm.
+    """
     away = is_fresh(ray, hit) and hit.distance_mm > ray.step_mm
     step_mm = next_step(ray.step_mm, away, least_step_mm)
     length_mm = hit.distance_mm + ray.step_mm
