@@ -205,7 +205,7 @@ def disk_full(bench: Bench, rng: random.Random, _: int) -> list[str]:
     with small_disk(disk) as pid:
         seen = Path(f"/proc/{pid}/root{disk}")  # the disk, from outside
         shutil.copytree(bench.unbroken / "data", seen / "runs" / "data")
-        trained = [folder for folder in (bench.unbroken / STUDY).iterdir() if folder.name != "comparison"]
+        trained = [path.parent for path in (bench.unbroken / STUDY).rglob("last.ckpt")]
         finished = min(trained).relative_to(bench.unbroken)
         shutil.copytree(bench.unbroken / finished, seen / "runs" / finished)
         before = _contents(seen / "runs" / finished)
