@@ -1,6 +1,5 @@
-"""Runs are found again rather than made twice; a database that cannot be read is kept aside, and a new one filled."""
+"""Runs are found again; a store that cannot be used, or that points elsewhere, is kept aside, and a new one filled."""
 
-import json
 import math
 import shutil
 import sqlite3
@@ -8,205 +7,127 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import mlflow.data
 import mlflow.store.db.utils
 import pytest
-from ablate.tracking import Status, StoredRun, child_run, default_uri, open_store, parent_run
-from ablate.tracking import store as store_module
 from mlflow import MlflowClient
-from mlflow.data.schema import TensorDatasetSchema
+from mlflow.entities import Metric
 from mlflow.exceptions import MlflowException
-from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 
-TAGS = {"variant": "sa2h", "study": "study"}
+from ablate.publish import default_uri
+from ablate.publish import store as store_module
+from ablate.publish.store import Store, open_store, plain_files, reason
+from ablate.publish.study_view import study_run
+from ablate.settings.study import StudySettings
+from support.published import client_of
+
+
+def settings_in(runs: Path, uri: str | None = None, experiment: str = "ablate", study: str = "study") -> StudySettings:
+    tracking = replace(StudySettings().tracking, uri=uri, experiment=experiment)
+    return replace(StudySettings(), runs_dir=str(runs), study_name=study, tracking=tracking)
+
+
+def opened(runs: Path, uri: str | None = None, experiment: str = "ablate") -> Store:
+    return open_store(settings_in(runs, uri, experiment))
+
+
+def study_in(runs: Path, uri: str | None = None, experiment: str = "ablate", study: str = "study") -> str:
+    """Id of the run of a study, which is made where there is none."""
+    settings = settings_in(runs, uri, experiment, study)
+    return study_run(open_store(settings), settings)
 
 
 def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
-    first = open_store(runs, None, "ablate")
-    parent = parent_run(first, "quick-fetal")
-    child = child_run(first, parent, "sa2h/seed0", "abc", TAGS)
-    second = open_store(runs, None, "ablate")
-    assert second == first
-    assert parent_run(second, "quick-fetal") == parent
-    assert child_run(second, parent, "sa2h/seed0", "abc", TAGS) == child
-    assert child_run(second, parent, "sa2h/seed1", "abd", TAGS) != child
-    assert parent_run(second, "other") != parent
+    assert opened(runs) == opened(runs)
+    assert study_in(runs) == study_in(runs)
+    assert study_in(runs) != study_in(runs, study="other")
+    run = client_of(runs).get_run(study_in(runs))
+    assert run.info.artifact_uri == (runs / "artifacts" / run.info.run_id / "artifacts").as_uri()
+    experiment = client_of(runs).get_experiment_by_name("ablate")
+    assert experiment is not None
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
 
 
 def test_another_experiment_has_runs_of_its_own(runs: Path) -> None:
-    known = [open_store(runs, None, name) for name in ("ablate", "mine")]
-    parents = [parent_run(store, "study") for store in known]
-    children = [child_run(*pair, "sa2h/seed0", "abc", TAGS) for pair in zip(known, parents, strict=True)]
-    for store, *made in zip(known, parents, children, strict=True):
-        held = {run.info.run_id for run in store.client.search_runs([store.experiment_id])}
-        assert held == set(made)
-
-
-def edited(client: MlflowClient, parent: str, child: str) -> None:
-    """What a person may change in MLflow's pages."""
-    client.rename_experiment(client.get_run(parent).info.experiment_id, "mine")
-    for run_id in (parent, child):
-        client.set_tag(run_id, "mlflow.runName", "the best")
-        for tag in ("kind", "config_hash", "study", "variant", "mlflow.parentRunId"):
-            if tag in client.get_run(run_id).data.tags:
-                client.delete_tag(run_id, tag)
-
-
-def test_what_somebody_edits_or_deletes_in_mlflow_is_found_again_and_left_so(runs: Path) -> None:
-    def ids() -> tuple[str, str]:
-        store = open_store(runs, None, "ablate")
-        parent = parent_run(store, "study")
-        return parent, child_run(store, parent, "sa2h/seed0", "abc", TAGS)
-
-    made, client = ids(), MlflowClient(default_uri(runs))
-    edited(client, *made)
-    assert ids() == made
-    assert client.get_run(made[1]).info.run_name == "the best"
-    for run_id in reversed(made):
-        client.delete_run(run_id)
-        with pytest.raises(MlflowException, match=f"was deleted in MLflow, .* restore --run-id {run_id}"):
-            ids()
-    for run_id in made:
-        client.restore_run(run_id)
-    (runs / ".stored.json").write_text("{")
-    client.set_tag(made[0], "study", "study")
-    client.set_tag(made[0], "kind", "study")
-    study, child = ids()
-    assert study == made[0], "its tags tell as well"
-    client.delete_run(study)
-    SqlAlchemyStore(default_uri(runs), str(runs))._hard_delete_run(study)  # as `mlflow gc`
-    assert ids() == (client.get_run(child).data.tags["mlflow.parentRunId"], child) != (study, child)
-
-
-def test_a_run_carries_what_was_logged(runs: Path) -> None:
-    store = open_store(runs, None, "ablate")
-    parent = parent_run(store, "study")
-    run = StoredRun(store, child_run(store, parent, "sa2h/seed0", "abc", TAGS))
-    run.scores({"test/psnr": 17.5, "identical": math.inf, "undefined": math.nan})
-    run.parameters({"model.width": 0.25})
-    run.parameters({"model.width": 0.5, "seed": 0})  # a resumed run keeps what it has
-    (runs / "a.txt").write_text("x")
-    run.artifact(runs / "a.txt", "provenance")
-    run.mark(Status.finished)
-    client = MlflowClient(default_uri(runs))
-    stored = client.get_run(run.run_id)
-    assert stored.data.metrics == {"test/psnr": 17.5}
-    assert stored.data.params == {"model.width": "0.25", "seed": "0"}
-    assert stored.data.tags["mlflow.parentRunId"] == parent
-    assert stored.info.status == "FINISHED"
-    assert stored.info.artifact_uri.startswith((runs / "artifacts").as_uri())
-    assert [a.path for a in client.list_artifacts(run.run_id, "provenance")] == ["provenance/a.txt"]
-
-
-def test_a_run_has_its_data_set_and_its_model_once_and_the_scores_are_of_both(runs: Path) -> None:
-    store = open_store(runs, None, "ablate")
-    for _ in range(2):
-        run = StoredRun(store, parent_run(store, "study"))
-        run.dataset("fetal-abc", "abc", runs / "data", 240, {"segmentation": "uint8"}, {"target": "uint8"})
-        run.scores({"test/psnr": 17.5}, 1000, run.model("sa2h.depth-8"))
-    stored = store.client.get_run(run.run_id)
-    (used,) = stored.inputs.dataset_inputs
-    assert (used.dataset.name, used.dataset.digest) == ("fetal-abc", "abc")
-    assert json.loads(used.dataset.profile) == {"num_rows": 240}
-    assert mlflow.data.get_source(used).uri == str(runs / "data")
-    schema = TensorDatasetSchema.from_dict(json.loads(used.dataset.schema))
-    assert (schema.features.input_names(), schema.targets.input_names()) == (["segmentation"], ["target"])
-    assert {tag.key: tag.value for tag in used.tags} == {"mlflow.data.context": "training"}
-    (model,) = store.client.search_logged_models([store.experiment_id])
-    assert (model.name, model.source_run_id, model.status) == ("sa2h-depth-8", run.run_id, "READY")
-    (score,) = model.metrics
-    assert (score.key, score.value, score.dataset_name, score.dataset_digest) == ("test/psnr", 17.5, "fetal-abc", "abc")
-    assert stored.data.metrics == {"test/psnr": 17.5}
-    assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
-
-
-def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_once(
-    runs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = open_store(runs, None, "ablate")
-    run = StoredRun(store, parent_run(store, "study"))
-    before = store.client.get_run(run.run_id)
-    run.scores({"test/psnr": 17.5}, 1000)  # arrives after it is looked for
-    with monkeypatch.context() as patch:
-        patch.setattr(MlflowClient, "get_run", lambda *_: before)
-        run.scores({"test/psnr": 17.5}, 1000)
-    run.scores({"test/psnr": 18.0}, 2000)  # scored again
-    history = store.client.get_metric_history(run.run_id, "test/psnr")
-    assert [(p.value, p.timestamp, p.step) for p in history] == [(17.5, 1000, 0), (18.0, 2000, 1)]
-    assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 18.0}
-
-
-def test_a_score_that_is_no_more_becomes_nan_once_and_curves_and_times_stay(runs: Path) -> None:
-    store = open_store(runs, None, "ablate")
-    run = StoredRun(store, parent_run(store, "study"))
-    run.scores({"test/psnr": 17.5, "test/dark": 1.0, "val/psnr_curve": 9.0, "ms_per_frame": 5.0})
-    for _ in range(2):
-        run.scores({"test/psnr": 17.5, "test/dark": math.nan}, whole=True)
-    kept = store.client.get_run(run.run_id).data.metrics
-    assert math.isnan(kept.pop("test/dark"))
-    assert kept == {"test/psnr": 17.5, "val/psnr_curve": 9.0, "ms_per_frame": 5.0}
-    assert len(store.client.get_metric_history(run.run_id, "test/dark")) == 2
-
-
-_OPEN = """
-import sys
-from pathlib import Path
-from ablate.tracking import child_run, open_store, parent_run
-
-store, tags = open_store(Path(sys.argv[1]), None, "ablate"), {"variant": "sa2h", "study": "study"}
-print(child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", tags))
-"""
-
-
-@pytest.mark.slow
-def test_processes_that_start_together_share_one_database(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", _OPEN, str(tmp_path)]
-    started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(4)]
-    outputs = [process.communicate(timeout=600)[0] for process in started]
-    assert [process.returncode for process in started] == [0] * 4
-    assert len(set(outputs)) == 1
-    assert len(outputs[0].strip()) == 32
+    for name in ("ablate", "mine"):
+        made = study_in(runs, experiment=name)
+        store = opened(runs, experiment=name)
+        assert [run.info.run_id for run in store.client.search_runs([store.experiment_id])] == [made]
 
 
 def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path: Path) -> None:
     uri = default_uri(runs)
-    anna, ben = (open_store(tmp_path / name, uri, "ablate") for name in ("anna", "ben"))
-    assert anna.experiment_id == ben.experiment_id
-    studies = [parent_run(store, "quick-fetal") for store in (anna, ben)]
+    studies = [study_in(tmp_path / name, uri) for name in ("anna", "ben")]
     assert studies[0] != studies[1]
-    pairs = zip((anna, ben), studies, strict=True)
-    children = {child_run(store, study, "sa2h/seed0", "abc", TAGS) for store, study in pairs}
-    assert len(children) == 2
     (tmp_path / "anna").rename(tmp_path / "moved")
-    assert parent_run(open_store(tmp_path / "moved", uri, "ablate"), "quick-fetal") == studies[0]
+    assert study_in(tmp_path / "moved", uri) == studies[0]
+
+
+def test_values_with_quotes_are_found(runs: Path) -> None:
+    store = opened(runs)
+    for value in ("it's", 'so "called"', "a`b"):
+        made = store.create("run", "job", {"study": value})
+        found = store.find("job", {"study": value})
+        assert found is not None
+        assert found.info.run_id == made.info.run_id
+
+
+def test_what_was_discarded_stays_deleted_when_its_experiment_is_restored(runs: Path) -> None:
+    store = opened(runs)
+    kept = store.create("a", "job", {"config_hash": "abc"})
+    store.discard(store.create("b", "job", {"config_hash": "abc"}))
+    store.client.delete_experiment(store.experiment_id)
+    assert opened(runs) == store
+    assert [run.info.run_id for run in store.client.search_runs([store.experiment_id])] == [kept.info.run_id]
 
 
 def test_an_experiment_that_somebody_else_makes_in_the_same_moment_is_used(
     runs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    there = open_store(runs, None, "ablate").experiment_id
+    made = opened(runs)
     lookup = MlflowClient.get_experiment_by_name
-    answers = iter([lambda *_: None, lookup])
+    answers = iter([lambda *_: None, lambda *_: None, lookup])
     monkeypatch.setattr(MlflowClient, "get_experiment_by_name", lambda *a: next(answers)(*a))
-    assert open_store(runs, None, "ablate").experiment_id == there
+    assert opened(runs) == made
+
+
+def test_values_that_no_page_can_show_are_left_out_and_many_arrive_once(runs: Path) -> None:
+    store, run_id = opened(runs), study_in(runs)
+    values = {f"v{k}": float(k) for k in range(1200)}
+    store.log_metrics(run_id, [Metric(key, value, 1, 0) for key, value in values.items()])
+    store.log_metrics(run_id, [Metric("nan", math.nan, 1, 0), Metric("inf", math.inf, 1, 0), Metric("v1", 1.0, 1, 0)])
+    assert client_of(runs).get_run(run_id).data.metrics == values
+    assert len(client_of(runs).get_metric_history(run_id, "v1")) == 1
+
+
+def test_plain_files_are_no_links_and_no_folders(tmp_path: Path) -> None:
+    for name in ("b.csv", "a.pdf"):
+        (tmp_path / name).write_text(name)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link.csv").symlink_to(tmp_path / "b.csv")
+    assert [path.name for path in plain_files(tmp_path.iterdir())] == ["a.pdf", "b.csv"]
+
+
+def test_a_reason_is_what_was_raised_in_one_line() -> None:
+    assert reason(OSError("the disk\nis full")) == "OSError: the disk is full"
+    assert len(reason(ValueError("x" * 5000))) < 250
 
 
 def test_what_a_database_refuses_is_raised_and_not_printed_with_a_traceback(
     runs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    store = open_store(runs, None, "ablate")
-    run = parent_run(store, "study")
+    store, run = opened(runs), study_in(runs)
     with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
         connection.execute("ALTER TABLE runs RENAME TO elsewhere")  # an OperationalError, as a full disk is
     with pytest.raises(MlflowException, match="no such table"):
-        StoredRun(store, run).mark(Status.finished)
+        store.client.set_terminated(run)
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_a_database_that_is_locked_or_cannot_be_opened_is_one_that_does_not_answer(
+def test_a_database_that_is_locked_or_cannot_be_opened_is_left_where_it_is(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(store_module, "_BUSY_S", 0.1)
@@ -215,7 +136,8 @@ def test_a_database_that_is_locked_or_cannot_be_opened_is_one_that_does_not_answ
         connection.execute("BEGIN EXCLUSIVE")
         for folder, why in ((runs, "database is locked"), (tmp_path, "unable to open database file")):
             with pytest.raises(OSError, match=f"mlflow.db: {why}"):
-                open_store(folder, None, "ablate")
+                opened(folder)
+            assert len(list(folder.glob("mlflow*db"))) == 1
 
 
 class Killed(BaseException):
@@ -235,31 +157,48 @@ def test_a_process_that_is_killed_while_it_makes_the_database_leaves_none(
         patch.setattr(mlflow.store.db.utils, "_upgrade_db", killed)
         patch.setattr(Path, "unlink", lambda *_, **__: None)  # what is killed does not tidy up
         with pytest.raises(Killed):
-            open_store(tmp_path, uri, "ablate")
+            opened(tmp_path, uri)
     assert list(tmp_path.glob("*.partial.db")), "nothing was begun"
     assert not (tmp_path / name).exists()
-    store = open_store(tmp_path, uri, "ablate")
-    assert parent_run(store, "study")
+    assert study_in(tmp_path, uri)
     assert not list(tmp_path.glob("*.partial.db"))
 
 
-def of_another_schema(path: Path) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE alembic_version SET version_num = 'of the future'")
+def changed(database: Path, statement: str, *values: str) -> None:
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute(statement, values)
 
 
-def overwritten(path: Path) -> None:
-    path.write_bytes(b"no database" * 1000)
+def of_another_schema(runs: Path) -> None:
+    changed(runs / "mlflow.db", "UPDATE alembic_version SET version_num = 'of the future'")
 
 
-def half_made(path: Path) -> None:
-    path.unlink()
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("CREATE TABLE experiments (experiment_id INTEGER)")
+def overwritten(runs: Path) -> None:
+    (runs / "mlflow.db").write_bytes(b"no database" * 1000)
 
 
-@pytest.mark.parametrize("damage", [of_another_schema, overwritten, half_made])
-def test_a_database_that_cannot_be_read_is_kept_aside(
+def half_made(runs: Path) -> None:
+    (runs / "mlflow.db").unlink()
+    changed(runs / "mlflow.db", "CREATE TABLE experiments (experiment_id INTEGER)")
+
+
+def with_artifacts_elsewhere(runs: Path) -> None:
+    opened(runs)
+    changed(runs / "mlflow.db", "UPDATE experiments SET artifact_location = ?", (runs.parent / "elsewhere").as_uri())
+
+
+def a_link_to_one_of_another_folder(runs: Path) -> None:
+    other = runs.parent / "elsewhere"
+    other.mkdir()
+    with_artifacts_elsewhere(runs)
+    (runs / "mlflow.db").rename(other / "mlflow.db")
+    (runs / "mlflow.db").symlink_to(other / "mlflow.db")
+
+
+@pytest.mark.parametrize(
+    "damage", [of_another_schema, overwritten, half_made, with_artifacts_elsewhere, a_link_to_one_of_another_folder]
+)
+def test_a_database_that_cannot_be_used_is_kept_aside(
     runs: Path,
     empty_database: Path,
     damage: Callable[[Path], None],
@@ -267,20 +206,53 @@ def test_a_database_that_cannot_be_read_is_kept_aside(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr(store_module, "_make", partial(shutil.copy, empty_database))  # the same, and seconds sooner
-    damage(runs / "mlflow.db")
     (runs / "artifacts").mkdir()
+    damage(runs)
     before = (runs / "mlflow.db").read_bytes()
-    store = open_store(runs, None, "ablate")
-    assert parent_run(store, "study") == parent_run(open_store(runs, None, "ablate"), "study")
-    (aside,) = runs.glob("mlflow-*.db")
+    store = opened(runs)
+    assert study_in(runs) == study_in(runs)
+    store.client.log_text(study_in(runs), "told", "note.txt")
+    assert [path.read_text() for path in (runs / "artifacts").rglob("note.txt")] == ["told"]
+    (aside,) = runs.glob("mlflow.*.db")
     assert aside.read_bytes() == before
     assert str(aside.with_suffix("")) in caplog.text
-    assert aside.with_suffix(".artifacts").is_dir()  # what the new database names lies in a folder of its own
-    assert not (runs / "artifacts").exists()
+    assert aside.with_suffix(".artifacts").is_dir()  # what the old database names lies in a folder of its own
+    assert not list(runs.parent.glob("elsewhere/*/**"))
+
+
+@pytest.mark.parametrize("place", ["elsewhere", "runs/artifacts-2/{id}/artifacts", "runs/artifacts/../../elsewhere"])
+def test_a_run_whose_artifacts_lie_elsewhere_is_not_written_to(runs: Path, place: str) -> None:
+    """As in a folder of runs from a stranger, who knows where this one lies."""
+    strange = study_in(runs)
+    uri = f"{runs.parent.as_uri()}/{place.format(id=strange)}"
+    changed(runs / "mlflow.db", "UPDATE runs SET artifact_uri = ?", uri)
+    made = study_in(runs)
+    assert made != strange
+    assert study_in(runs) == made, "it is found again beside the strange one"
 
 
 def test_the_journal_of_a_removed_database_is_not_applied_to_the_new_one(runs: Path) -> None:
     (runs / "mlflow.db").unlink()
     (runs / "mlflow.db-journal").write_bytes(b"of another file")
-    assert parent_run(open_store(runs, None, "ablate"), "study")
+    assert study_in(runs)
     assert not (runs / "mlflow.db-journal").exists()
+
+
+_OPEN = """
+import sys
+from pathlib import Path
+from publish.test_store import study_in
+
+print(study_in(Path(sys.argv[1])))
+"""
+
+
+@pytest.mark.slow
+def test_processes_that_start_together_share_one_database(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _OPEN, str(tmp_path)]
+    tests = Path(__file__).parents[1]
+    started = [subprocess.Popen(command, cwd=tests, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    outputs = [process.communicate(timeout=600)[0] for process in started]
+    assert [process.returncode for process in started] == [0] * 4
+    assert len(set(outputs)) == 1
+    assert len(outputs[0].strip()) == 32

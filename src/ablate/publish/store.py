@@ -5,9 +5,10 @@ used, or that points elsewhere, is set aside, and a new one is filled.
 """
 
 import logging
+import math
 import sqlite3
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,9 +16,8 @@ from pathlib import Path
 
 from filelock import FileLock
 from mlflow import MlflowClient
-from mlflow.entities import Experiment, Run
+from mlflow.entities import Experiment, Metric, Run
 from mlflow.exceptions import MlflowException
-from sqlalchemy.exc import SQLAlchemyError
 
 from ablate.settings.study import StudySettings
 from ablate.storage import remove_partial, write_text, written_whole
@@ -26,8 +26,10 @@ _LOG = logging.getLogger(__name__)
 _LOCK_S, _BUSY_S = 60.0, 20.0
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _OF_TRANSACTIONS = ("-journal", "-wal", "-shm")
-# What is raised where a store does not answer, refuses or is full.
-UNAVAILABLE = (MlflowException, SQLAlchemyError, OSError)
+_KIND = "kind"  # a tag: job, study, or the name of a task
+_REPLACED = "replaced"  # the kind of a run in whose place is another one
+MOST_FOUND = 50_000  # MLflow takes no larger number
+_MOST_VALUES = 500  # of a batch; MLflow takes 1,000
 # Tags of the experiment.
 _ABOUT = {
     "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
@@ -53,7 +55,7 @@ class Store:
 
     uri: str
     experiment_id: str
-    lock: Path  # taken around whatever looks a run up and then makes or replaces it
+    lock: Path  # around what looks the run of a study or a task up and makes it; no other lock is taken inside
     artifacts: str  # the address below which all artifacts lie; empty where a server decides
     owner: Mapping[str, str]  # a tag that tells the folders of runs that share a server apart
 
@@ -61,18 +63,45 @@ class Store:
     def client(self) -> MlflowClient:
         return MlflowClient(self.uri)
 
-    def find(self, known_by: Mapping[str, str]) -> Run | None:
-        """The run that has these tags; None where there is none, or its artifacts would be written elsewhere."""
-        query = " and ".join(f"tags.`{tag}` = {_quoted(value)}" for tag, value in {**known_by, **self.owner}.items())
+    def find(self, kind: str, known_by: Mapping[str, str]) -> Run | None:
+        """The run of a kind that has these tags; None where there is none, or its artifacts would lie elsewhere."""
+        wanted = {_KIND: kind, **known_by, **self.owner}
+        query = " and ".join(f"tags.`{tag}` = {_quoted(value)}" for tag, value in wanted.items())
         for run in self.client.search_runs([self.experiment_id], query):
-            if str(run.info.artifact_uri).startswith(self.artifacts):
+            if self._holds(run):
                 return run
         return None
 
-    def create(self, name: str, known_by: Mapping[str, str], start_ms: int | None = None) -> Run:
-        """A new run with these tags."""
-        tags = {**known_by, **self.owner}
+    def _holds(self, run: Run) -> bool:
+        """Whether the artifacts of a run lie where this store writes; a server decides that by itself."""
+        place = f"{self.artifacts}/{run.info.run_id}/artifacts"
+        return not self.artifacts or (run.info.artifact_uri == place and run.info.run_id.isalnum())
+
+    def create(self, name: str, kind: str, known_by: Mapping[str, str], start_ms: int | None = None) -> Run:
+        """A new run of a kind with these tags."""
+        tags = {_KIND: kind, **known_by, **self.owner}
         return self.client.create_run(self.experiment_id, start_ms, tags, run_name=name)
+
+    def discard(self, run: Run) -> None:
+        """Delete a run in whose place another one is made; it stays deleted when its experiment is restored."""
+        self.client.set_tag(run.info.run_id, _KIND, _REPLACED)
+        self.client.delete_run(run.info.run_id)
+
+    def log_metrics(self, run_id: str, metrics: Iterable[Metric]) -> None:
+        """Publish values; NaN and infinite ones, which MLflow's pages cannot show, are left out."""
+        finite = [metric for metric in metrics if math.isfinite(metric.value)]
+        for start in range(0, len(finite), _MOST_VALUES):
+            self.client.log_batch(run_id, metrics=finite[start : start + _MOST_VALUES])
+
+    def log_files(self, run_id: str, paths: Iterable[Path]) -> None:
+        """Publish files, PDFs in a folder of their own."""
+        for path in paths:
+            self.client.log_artifact(run_id, str(path), "vector" if path.suffix == ".pdf" else None)
+
+
+def plain_files(paths: Iterable[Path]) -> list[Path]:
+    """The files among `paths`, by name; no links, which in a folder from anybody may lead to any file of a machine."""
+    return sorted(path for path in paths if path.is_file() and not path.is_symlink())
 
 
 def _quoted(value: str) -> str:
@@ -95,30 +124,39 @@ def open_store(settings: StudySettings) -> Store:
 
     Safe for several processes: concurrent first use of a fresh SQLite store fails otherwise. Artifacts of the default
     store go to `<runs_dir>/artifacts`; a server given by `tracking.uri` decides for itself, and other folders of runs
-    may use it too. A store that cannot be used is one of `UNAVAILABLE`.
+    may use it too. A store that cannot be used raises what MLflow, its database or the system says.
     """
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.getLogger("mlflow").setLevel(logging.WARNING)
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
-    runs, experiment = settings.results, settings.tracking.experiment
+    runs, uri = settings.results, settings.tracking.uri
+    experiment = settings.tracking.experiment
     runs.mkdir(parents=True, exist_ok=True)
     lock = runs / ".mlflow.lock"
+    if uri is None:
+        with FileLock(lock, timeout=_LOCK_S):
+            experiment_id = _default_experiment(runs, experiment)
+        return Store(default_uri(runs), experiment_id, lock, artifacts=_artifacts(runs), owner={})
     with FileLock(lock, timeout=_LOCK_S):
-        if settings.tracking.uri is None:
-            return Store(default_uri(runs), _own_experiment(runs, experiment), lock, _artifacts(runs), {})
-        uri = settings.tracking.uri
-        _make_database(uri)
-        owner = runs / ".owner"  # the name by which a server knows this folder of runs, wherever it is moved
-        if not owner.exists():
-            write_text(owner, uuid.uuid4().hex)
-        return Store(uri, _experiment(MlflowClient(uri), experiment), lock, "", {"runs": owner.read_text("utf-8")})
+        owner = _owner(runs)
+    _make_database(uri)
+    experiment_id = _experiment(MlflowClient(uri), experiment)  # without the lock: a silent server is waited for here
+    return Store(uri, experiment_id, lock, artifacts="", owner={"runs": owner})
+
+
+def _owner(runs: Path) -> str:
+    """The name by which a server knows this folder of runs, wherever it is moved."""
+    file = runs / ".owner"
+    if not file.exists():
+        write_text(file, uuid.uuid4().hex)
+    return file.read_text("utf-8")
 
 
 def _artifacts(runs: Path) -> str:
     return (runs / "artifacts").as_uri()
 
 
-def _own_experiment(runs: Path, name: str) -> str:
+def _default_experiment(runs: Path, name: str) -> str:
     """Id of the experiment in the default store; a database that cannot be used, or is another folder's, is replaced.
 
     It may come from anybody: artifacts are written to this folder of runs alone.
@@ -128,8 +166,8 @@ def _own_experiment(runs: Path, name: str) -> str:
         _make(database)
     elif not _is_whole(database):
         _replace(database, "it is damaged")
-    client = MlflowClient(default_uri(runs))
     try:
+        client = MlflowClient(default_uri(runs))
         experiment = client.get_experiment_by_name(name)
         if experiment is None or experiment.artifact_location == location:
             return _experiment(client, name, location)
@@ -152,9 +190,12 @@ def _experiment(client: MlflowClient, name: str, location: str | None = None) ->
             experiment = client.get_experiment_by_name(name)
             if error.error_code != "RESOURCE_ALREADY_EXISTS" or experiment is None:
                 raise
+    experiment_id = str(experiment.experiment_id)
     if experiment.lifecycle_stage == "deleted":
-        client.restore_experiment(experiment.experiment_id)
-    return str(experiment.experiment_id)
+        client.restore_experiment(experiment_id)  # with every run that was ever deleted
+        for run in client.search_runs([experiment_id], f"tags.{_KIND} = '{_REPLACED}'", max_results=MOST_FOUND):
+            client.delete_run(run.info.run_id)
+    return experiment_id
 
 
 def _replace(path: Path, why: str) -> None:

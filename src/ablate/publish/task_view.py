@@ -11,7 +11,7 @@ from typing import Any
 from filelock import FileLock
 from mlflow.entities import Metric
 
-from ablate.publish.store import Store, open_store, reason
+from ablate.publish.store import Store, open_store, plain_files, reason
 from ablate.publish.training_view import NOTE, PUBLISHED
 from ablate.publish.waiting import in_time
 from ablate.settings.study import StudySettings, Task
@@ -23,7 +23,7 @@ _LOG = logging.getLogger(__name__)
 _RECORD = "task.json"
 _TASKS = (Task.precision, Task.stability)  # their names are those of their folders
 _SHOWN = (".csv", ".txt", ".md", ".png", ".pdf")  # what is published of a folder
-_WAIT_S = 60.0
+_LOCK_S, _WAIT_S = 60.0, 60.0
 
 
 @dataclass
@@ -67,32 +67,30 @@ def publish_tasks(store: Store, settings: StudySettings) -> None:
     """Publish the tasks of a study that the store lacks."""
     for task in _TASKS:
         folder = settings.results / task
-        if (folder / _RECORD).exists():
+        record = folder / _RECORD
+        if record.exists():
             try:
-                if read_json(folder / _RECORD)["study"] == settings.study:
+                if read_json(record)["study"] == settings.study:
                     _publish(store, folder)
-            except (ValueError, KeyError, TypeError) as error:
-                _LOG.warning("%s: not published (%s)", folder / _RECORD, error)
+            except (ValueError, KeyError, TypeError, AttributeError) as error:  # it is damaged
+                _LOG.warning("%s: not published (%s)", record, error)
 
 
 def _publish(store: Store, folder: Path) -> None:
     record: dict[str, Any] = read_json(folder / _RECORD)
-    known_by = {"study": str(record["study"]), "kind": folder.name}
+    kind, known_by = folder.name, {"study": str(record["study"])}
+    ended_ms, status = int(record["time"]), Status(record["status"])
+    tags = {NOTE: str(record["description"])} | {name: str(value) for name, value in record["tags"].items()}
+    metrics = [Metric(name, float(value), ended_ms, 0) for name, value in record["scores"].items()]
     state = digest(record)
-    with FileLock(store.lock):
-        run = store.find(known_by)
+    with FileLock(store.lock, timeout=_LOCK_S):
+        run = store.find(kind, known_by)
         if run is not None and run.data.tags.get(PUBLISHED) == state:
             return
         if run is not None:
-            store.client.delete_run(run.info.run_id)
-        run_id = store.create(folder.name, known_by, record["time"]).info.run_id
-        for key, value in record["tags"].items():
-            store.client.set_tag(run_id, key, value)
-        for path in sorted(folder.iterdir()):
-            if path.suffix in _SHOWN and path.is_file() and not path.is_symlink():
-                store.client.log_artifact(run_id, str(path), "vector" if path.suffix == ".pdf" else None)
-        metrics = [Metric(name, float(value), record["time"], 0) for name, value in record["scores"].items()]
-        store.client.log_batch(run_id, metrics=metrics)
-        store.client.set_tag(run_id, NOTE, record["description"])
-        store.client.set_terminated(run_id, str(Status(record["status"])), record["time"])
+            store.discard(run)
+        run_id = store.create(kind, kind, known_by | tags, ended_ms).info.run_id
+        store.log_files(run_id, [path for path in plain_files(folder.iterdir()) if path.suffix in _SHOWN])
+        store.log_metrics(run_id, metrics)
+        store.client.set_terminated(run_id, str(status), ended_ms)
         store.client.set_tag(run_id, PUBLISHED, state)

@@ -2,7 +2,9 @@
 
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +18,23 @@ from PIL import Image
 from ablate.dataset.pairs import FORMATS
 from ablate.metrics.metric import FLOOR_PREFIX, is_bound
 from ablate.networks.spec import GeneratorSpec
-from ablate.publish.store import Store
+from ablate.publish.store import Store, plain_files
 from ablate.setting import flat
 from ablate.settings.conf import build, components, components_of_networks, named_components
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
 from ablate.storage import digest
-from ablate.study.log import Log, Status, read_log
+from ablate.study.log import Log, LoggedImage, Status, read_log
 from ablate.study.provenance import ABOUT_CODE
 from ablate.study.scores import read_score
 from ablate.study.training import Training
 
 PARENT = "mlflow.parentRunId"
 NOTE = "mlflow.note.content"
+_JOB = "job"  # the kind of its run
 PUBLISHED = "published"  # a tag: the digest of what was on disk when all of it had been published
 _BEGAN = "begun"  # a tag: when the training began
-_POINTS, _IMAGES = "points", "images"  # tags: how many of each have been published of a training that goes on
+_POINTS = "points"  # a tag: how many of them have been published of a training that goes on
 #: Settings that people sort and compare by, beside components.
 _SORTED_BY = (
     "model.target",
@@ -89,57 +92,61 @@ def publish_training(
         state = digest([training.published_state(), sorted(scores)])
         log = read_log(training.folder)
         client = store.client
-        run = store.find({"kind": "job", "config_hash": training.hash, "study": training.folder.parent.name})
+        run = store.find(_JOB, {"config_hash": training.hash, "study": training.folder.parent.name})
         if run is not None and run.data.tags.get(PARENT) != parent:  # the study's run was deleted
             client.set_tag(run.info.run_id, PARENT, parent)
-        if run is not None and not goes_on and run.data.tags.get(PUBLISHED) == state:
+        if run is not None and run.data.tags.get(PUBLISHED) == state:
             return str(run.info.run_id)
-        if run is not None and not _goes_on_in(run, log):
-            client.delete_run(run.info.run_id)
+        if run is not None and not _goes_on_in(client, run, log):
+            store.discard(run)
             run = None
         if run is None:
             run = _begin(store, parent, training, log)
         run_id = str(run.info.run_id)
         if run.info.status != Status.running:
             client.update_run(run_id, status=str(Status.running))
-        _publish_log(client, run, log)
+        _publish_curves(client, run, log)
+        _publish_images(client, run_id, log.images)
         if not goes_on:
-            _publish_end(client, run_id, training, log, scores)
+            _publish_end(store, run_id, training, log, scores)
             client.set_tag(run_id, PUBLISHED, state)
         return run_id
 
 
-def _goes_on_in(run: Run, log: Log) -> bool:
-    """Whether a run shows the beginning of this log, and nothing that was computed after it."""
-    return run.info.status != Status.finished and run.data.tags.get(_BEGAN) == str(log.began_ms)
+def _goes_on_in(client: MlflowClient, run: Run, log: Log) -> bool:
+    """Whether a run shows the beginning of this log, and nothing that was computed after it.
+
+    Of each image there are two files: where their number is odd, publishing was stopped between them.
+    """
+    if run.info.status == Status.finished or run.data.tags.get(_BEGAN) != str(log.began_ms):
+        return False
+    return len(client.list_artifacts(run.info.run_id, "images")) % 2 == 0
 
 
 def _begin(store: Store, parent: str, training: Training, log: Log) -> Run:
     """A new run with parameters, tags, provenance and data set."""
     settings, study = training.settings, training.folder.parent.name
     code = {key: value for key, value in training.made_with.items() if key in ABOUT_CODE}
-    tags = {
-        "kind": "job",
-        "config_hash": training.hash,
+    known_by = {"config_hash": training.hash, "study": study}
+    data_hash = digest(training.identity["data"])
+    about = {
         "variant": training.label,
-        "study": study,
         "seed": str(training.seed),
-        "data_hash": digest(training.identity["data"]),
+        "data_hash": data_hash,
         PARENT: parent,
-        _BEGAN: str(log.began_ms),
         NOTE: _described(training, study),
-        **code,
     }
-    run = store.create(training.name, tags, log.began_ms)
+    run = store.create(training.name, _JOB, known_by | about | code, log.began_ms)
     run_id, client = run.info.run_id, store.client
     named = named_components(build(GeneratorSpec, training.about["settings"]["model"], stored=True))
     has_scene = source_of(settings).has_scene
     parameters = {"variant": training.label, **named, **_sorted_by(training, has_scene)}
     client.log_batch(run_id, params=[Param(key, _word(value)) for key, value in parameters.items()])
-    if training.data_set.exists:
-        _publish_data(client, run_id, training.data_set, tags["data_hash"])
-    for path in training.provenance_files():
+    with suppress(OSError, ValueError, KeyError):  # pairs that are missing or damaged
+        _publish_data(client, run_id, training.data_set, data_hash)
+    for path in plain_files(training.provenance_files()):
         client.log_artifact(run_id, str(path), "provenance")
+    client.set_tag(run_id, _BEGAN, str(log.began_ms))  # a run that was begun only in part is not gone on with
     return client.get_run(run_id)
 
 
@@ -194,52 +201,54 @@ def _publish_data(client: MlflowClient, run_id: str, data: DataSet, data_hash: s
     client.log_inputs(run_id, [DatasetInput(published, [InputTag("mlflow.data.context", "training")])])
 
 
-def _publish_log(client: MlflowClient, run: Run, log: Log) -> None:
-    """Curves and images since the run was published last."""
-    run_id, tags = run.info.run_id, run.data.tags
+def _publish_curves(client: MlflowClient, run: Run, log: Log) -> None:
+    """The points of curves since the run was published last."""
     points = [Metric(point.key, point.value, point.time_ms, point.step) for point in log.points]
-    first = int(tags.get(_POINTS, 0))
+    first = int(run.data.tags.get(_POINTS, 0))
     for start in range(first, len(points), _BATCH):
         batch = points[start : start + _BATCH]
-        client.log_batch(run_id, metrics=batch, tags=[RunTag(_POINTS, str(start + len(batch)))])
-    images = sorted(log.images, key=lambda image: (image.step, image.key))  # in the order of their making
-    for number, image in enumerate(images[int(tags.get(_IMAGES, 0)) :], start=int(tags.get(_IMAGES, 0))):
-        _publish_image(client, run_id, image.path, image.key, image.step)
-        client.set_tag(run_id, _IMAGES, str(number + 1))
+        client.log_batch(run.info.run_id, metrics=batch, tags=[RunTag(_POINTS, str(start + len(batch)))])
 
 
-def _publish_image(client: MlflowClient, run_id: str, path: Path, key: str, step: int) -> None:
-    with Image.open(path) as image:
-        client.log_image(run_id, np.asarray(image), key=key, step=step)
+def _publish_images(client: MlflowClient, run_id: str, images: Sequence[LoggedImage]) -> None:
+    """The images that the run has not yet, in the order of their making; MLflow decides the names of their files."""
+    files = client.list_artifacts(run_id, "images") if images else []
+    published = {Path(file.path).name.partition("+timestamp+")[0] for file in files}
+    for image in sorted(images, key=lambda image: (image.step, image.key)):
+        if f"{image.key.replace('/', '~')}+step+{image.step}" not in published:
+            with Image.open(image.path) as opened:
+                client.log_image(run_id, np.asarray(opened), key=image.key, step=image.step)
 
 
-def _publish_end(client: MlflowClient, run_id: str, training: Training, log: Log, scores: Sequence[str]) -> None:
+def _publish_end(store: Store, run_id: str, training: Training, log: Log, scores: Sequence[str]) -> None:
     """The scores of a training, the newest images, and how it has ended."""
     ended_ms, status = log.states[-1] if log.states else (None, Status.killed)
-    status = Status.killed if status is Status.running else status  # the process itself was killed
     if training.is_trained:
         status = Status.finished
-        read = [read_score(training.scores / name) for name in scores]
-        scalars = dict(training.result["scalars"])
-        for score in read:
-            scalars |= score.scalars
-        time_ms = ended_ms or 0
-        metrics = [Metric(key, value, time_ms, 0) for key, value in _shown(scalars).items()]
-        client.log_batch(run_id, metrics=metrics)
-        values = [score.values for score in read if len(score.values)]
-        if values:
-            with tempfile.TemporaryDirectory() as folder:
-                table = Path(folder) / "per_image.parquet"
-                pd.concat(values, ignore_index=True).to_parquet(table)
-                client.log_artifact(run_id, str(table))
-        newest = {image.key: image for image in log.images}
-        for key, image in newest.items():  # of a series MLflow shows the first
-            _publish_image(client, run_id, image.path, f"newest/{Path(key).name}", image.step)
-    client.set_terminated(run_id, str(status), ended_ms)
+        _publish_scores(store, run_id, training, scores, ended_ms or 0)
+        newest = {image.key: image for image in log.images}.values()
+        again = [replace(image, key=f"newest/{Path(image.key).name}") for image in newest]
+        _publish_images(store.client, run_id, again)  # of a series MLflow shows the first
+    elif status is Status.running:  # the process itself was killed
+        status = Status.killed
+    store.client.set_terminated(run_id, str(status), ended_ms)
 
 
-def _shown(scalars: Mapping[str, float]) -> dict[str, float]:
-    """The finite scalars, without the bounds of intervals and the re-simulation on validation frames."""
-    hidden = f"val/{FLOOR_PREFIX}"
-    finite = {name: value for name, value in scalars.items() if abs(value) < float("inf")}
-    return {name: value for name, value in finite.items() if not name.startswith(hidden) and not is_bound(name)}
+def _publish_scores(store: Store, run_id: str, training: Training, scores: Sequence[str], time_ms: int) -> None:
+    """Every score over all frames as a metric, and the values of all frames as one table."""
+    read = [read_score(training.scores / name) for name in scores]
+    scalars = dict(training.result["scalars"])
+    for score in read:
+        scalars |= score.scalars
+    store.log_metrics(run_id, [Metric(key, value, time_ms, 0) for key, value in scalars.items() if _is_shown(key)])
+    values = [score.values for score in read if len(score.values)]
+    if values:
+        with tempfile.TemporaryDirectory() as folder:
+            table = Path(folder) / "per_image.parquet"
+            pd.concat(values, ignore_index=True).to_parquet(table)
+            store.log_files(run_id, [table])
+
+
+def _is_shown(scalar: str) -> bool:
+    """Whether MLflow shows a scalar: no bound of an interval, and no re-simulation on validation frames."""
+    return not scalar.startswith(f"val/{FLOOR_PREFIX}") and not is_bound(scalar)
