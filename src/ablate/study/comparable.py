@@ -114,7 +114,7 @@ def _untold(runs: Sequence[Run], reference: str) -> list[str]:
 
 
 def _counted_twice(runs: Sequence[Run]) -> list[str]:
-    """A sentence for each run with the frames and scores of another one, as where a scene has fewer poses than asked."""
+    """A sentence for each run with the frames and scores of another one, as of a scene with fewer poses than asked."""
     first: dict[object, Run] = {}
     notes = []
     for run in runs:
