@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from ablate.comparison.usable_runs import levels_of
-from ablate.jobs.compose import jobs_of
 from tqdm import trange
 
 from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
+from ablate.command.compose import jobs_of
 from ablate.settings.conf import components
+from ablate.study.comparable import levels_of
 
 NAMES = tuple(component.name for component in components())
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
@@ -32,13 +32,14 @@ def runs_of(study: str) -> tuple[pd.DataFrame, Design]:
     Design
     """
     jobs = jobs_of([f"+study={study}"])
-    made = {job.label: levels_of(job.semantic) for job in jobs}
-    design = find_design(made, [component.key for component in components()])
+    levels = {job.label: levels_of(job.identity) for job in jobs}
+    design = find_design(levels, [component.key for component in components()])
     assert design is not None
     rows = [
         (job.label, job.settings.seed, "0", "0", metric, 0.0, str(job.settings.scene.anatomy_seed))
         for metric in dict.fromkeys(component.metric for component in components())
         for job in jobs
+        if job.label in design.cells.index  # others are beside it
     ]
     columns = ["variant", "seed", "frame", "site", "metric", "value", "data"]
     return run_means(pd.DataFrame(rows, columns=columns), None, design), design

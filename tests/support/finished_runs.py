@@ -1,48 +1,54 @@
-"""Finished runs without a training: what a run writes, with values of a test's choice."""
+"""Finished trainings without a training: what one leaves on disk, with values of a test's choice."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
-from ablate.runs.job import Job
-from ablate.runs.place import claim_place
-from ablate.runs.run import Run
 
-from ablate.metrics import METRICS_VERSION
-from ablate.storage import write_json
+from ablate.evaluation import Scores
+from ablate.study.job import Job
+from ablate.study.run import Run
+from ablate.study.scores import by_metric, wanted_scores, write_score
+from ablate.study.training import Training, claim
 
 PARAMETERS = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
-
-
-#: What every result.json has besides what names the run.
+PIXELS = 16 * "0"
+#: What every trained.json has.
 WHOLE: dict[str, Any] = {
-    **{"data": "fetal-0", "pixels": "0", "scalars": PARAMETERS, "notes": []},
-    **dict.fromkeys(("started", "ended", "first_scored"), "2026-01-01T00:00:00+00:00"),
-    **{"metrics": ["all"], "sources": {}, "metrics_version": METRICS_VERSION, "inception": None},
+    "pixels": PIXELS,
+    "scalars": PARAMETERS,
+    "notes": [],
+    "started": "2026-01-01T00:00:00+00:00",
+    "ended": "2026-01-01T00:00:00+00:00",
 }
 
 
-def result_of(job: Job, **changes: Any) -> dict[str, Any]:
-    """A result as a run writes it."""
-    return {**WHOLE, "hash": job.hash, "label": job.label, "seed": job.settings.seed, **changes}
-
-
-def scores_of(job: Job, values: Mapping[str, float] | None = None, frames: int = 1) -> pd.DataFrame:
-    """Values of test frames as a run stores them, by metric; the frames of a metric have equal values."""
+def scores_of(values: Mapping[str, float], frames: int = 1, resimulated: bool = False) -> Scores:
+    """Values of test frames as an evaluation has them, by metric; the frames of a metric have equal values."""
     rows = [
-        {"frame": frame, "site": frame, "metric": metric, "value": float(value), "source": "model", "split": "test"}
-        for metric, value in (values or {"psnr": 20.0}).items()
+        {"frame": frame, "site": frame, "metric": metric, "value": float(value), "source": source, "split": "test"}
+        for metric, value in values.items()
+        for source in ("model", *(["resimulation"] if resimulated else []))
         for frame in range(frames)
     ]
-    return pd.DataFrame(rows).assign(variant=job.label, seed=job.settings.seed)
+    return Scores(pd.DataFrame(rows), {f"test/{metric}": float(value) for metric, value in values.items()})
 
 
-def finish(job: Job, values: Mapping[str, float] | None = None, **changes: Any) -> Run:
-    """Write what a finished run of the job has on disk: specification, scores, result."""
-    claim_place(job)
-    scores_of(job, values).to_parquet(job.run.scores_file)
-    write_json(job.folder / "result.json", result_of(job, **changes))
-    return job.run
+def finish(job: Job, values: Mapping[str, float] | None = None, **result: Any) -> Run:
+    """Write what a finished job has on disk: what it is, what it came to, and scores of its metrics.
+
+    Without values they are those of every metric that it asks for.
+    """
+    training = claim(job)
+    training.write_result({**WHOLE, **result})
+    pixels = str({**WHOLE, **result}["pixels"])
+    keys = wanted_scores(job.settings.metrics, job.settings.evaluation, pixels)
+    if values is not None:
+        keys = tuple(key for key in keys if key.metric in values)
+    scores = scores_of(values or {key.metric: 20.0 for key in keys})
+    for key, score in by_metric(scores, keys).items():
+        write_score(training.scores, key, score)
+    return Run(Training(training.folder), job.label, dict(job.changed), tuple(key.file_name for key in keys))
 
 
 def timed(machine: str, network: str, *whole_ms: float) -> pd.DataFrame:

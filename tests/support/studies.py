@@ -8,9 +8,9 @@ from io import StringIO
 from pathlib import Path
 from unittest import mock
 
-from ablate.jobs.compose import jobs_of
-from ablate.jobs.launch import Launch
-from ablate.runs.job import Job
+from ablate.command.compose import jobs_of
+from ablate.command.launch import Launch
+from ablate.study.job import Job
 from matplotlib.figure import Figure
 
 from ablate.tasks.run_task import run_task
@@ -48,7 +48,7 @@ def run(*arguments: str) -> int:
     """
     with (
         mock.patch("ablate.analysis.figures.style.Figure", Unrendered),
-        mock.patch("ablate.runs.prepare.write_contact_sheet", lambda _, path: path.write_bytes(b"")),
+        mock.patch("ablate.sources.prepare.write_contact_sheet", lambda _, path: path.write_bytes(b"")),
     ):
         return run_task(jobs_of(arguments), Launch(here))
 
