@@ -135,11 +135,12 @@ def about(runs: Sequence[Run], per_image: pd.DataFrame) -> str:
     machines = Counter(of.get("hardware", "") for of in made.values())
     started = min(str(run.training.result["started"]) for run in runs)
     scored = min(run.first_scored for run in runs)
+    versions = " and ".join(f"version {version} of the {what}" for what, version in versions_of(runs))
     said = [
         f"Frames of {rows} x {columns} pixels, networks of {s['model']['width']:g} times the paper's width, "
         f"{s['training']['steps']:,} training steps. Data: {sets}; in the first {tested['frame'].nunique()} test "
         f"frames of {tested['site'].nunique()} sites.",
-        f"The results are of {' and '.join(f'version {version} of the {what}' for what, version in versions_of(runs))}.",
+        f"The results are of {versions}.",
         f"The first run was started at {started}, and the first test frame was scored at {scored}.",
         f"Commits: {', '.join(filter(None, commits))}." if any(commits) else "",
         f"Machines: {'; '.join(f'{name} ({n} runs)' for name, n in machines.items())}." if any(machines) else "",
