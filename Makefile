@@ -11,7 +11,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep quick test-random answer docs notebooks test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
+.PHONY: help sweep quick test-random answer answer-anew docs notebooks test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -26,10 +26,14 @@ $(STAMP): pyproject.toml constraints.txt
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 8 to 22 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
-answer: $(STAMP) ## which components earn their keep: 52 trainings in two anatomies, nine beside them and 36 of the extension, kept in docs/results; resumable
+answer: $(STAMP) ## which components earn their keep, from the runs that docs/results keeps; nothing is trained
 	$(BIN)/python scripts/results.py restore
+	$(BIN)/python -m ablate task=compare study_name=full_model
+	$(BIN)/python -m ablate task=compare study_name=extension
+	$(BIN)/python scripts/results.py table
+
+answer-anew: $(STAMP) ## the same with this version of ablate: 61 trainings and 36 of the extension; resumable
 	$(BIN)/python -m ablate +study=full_model
-	$(BIN)/python -m ablate +study=full_model_beside
 	$(BIN)/python -m ablate +study=extension
 	$(BIN)/python scripts/results.py keep runs/full_model
 	$(BIN)/python scripts/results.py keep runs/extension

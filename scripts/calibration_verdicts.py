@@ -32,13 +32,14 @@ def runs_of(study: str) -> tuple[pd.DataFrame, Design]:
     Design
     """
     jobs = jobs_of([f"+study={study}"])
-    made = {job.label: levels_of(job.semantic) for job in jobs}
-    design = find_design(made, [component.key for component in components()])
+    levels = {job.label: levels_of(job.identity) for job in jobs}
+    design = find_design(levels, [component.key for component in components()])
     assert design is not None
     rows = [
         (job.label, job.settings.seed, "0", "0", metric, 0.0, str(job.settings.scene.anatomy_seed))
         for metric in dict.fromkeys(component.metric for component in components())
         for job in jobs
+        if job.label in design.cells.index  # others are beside it
     ]
     columns = ["variant", "seed", "frame", "site", "metric", "value", "data"]
     return run_means(pd.DataFrame(rows, columns=columns), None, design), design

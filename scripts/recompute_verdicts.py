@@ -28,15 +28,16 @@ NETWORKS = {  # by what a label says after sa2h and its anatomy
 def values(study: Path) -> pd.DataFrame:
     """A row a run of the design: its name, network, anatomy, and its mean over test frames of every metric."""
     rows = []
-    for file in sorted(study.glob("*/seed*/result.json")):
-        variant, *changes = json.loads(file.read_text())["label"].split(".")
+    for job in json.loads((study / "comparison" / "jobs.json").read_text())["jobs"]:
+        variant, *changes = job["label"].split(".")
         anatomy = next((part for part in changes if part.startswith("anatomy_seed")), "")
         network = NETWORKS.get(".".join(part for part in changes if part != anatomy))
         if variant != "sa2h" or network is None:
             continue  # beside the design
-        frames = pd.read_parquet(file.parent / "per_image.parquet").query("source == 'model' and split == 'test'")
+        files = [study / job["training"] / "scores" / name for name in job["scores"]]
+        frames = pd.concat([pd.read_parquet(file) for file in files]).query("source == 'model' and split == 'test'")
         means = frames[np.isfinite(frames["value"])].groupby("metric")["value"].mean()
-        rows.append({"run": "/".join(file.parts[-3:-1]), "network": network, "anatomy": anatomy, **means})
+        rows.append({"run": job["training"].rpartition("-")[0], "network": network, "anatomy": anatomy, **means})
     return pd.DataFrame(rows)
 
 

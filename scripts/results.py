@@ -1,40 +1,41 @@
 """Results that are kept in the repository: small copies of finished runs, and the tables and figures made from them.
 
-python scripts/results.py keep runs/full_model    # copy what is finished into docs/results/full_model
-python scripts/results.py restore             # put it back into runs/: the same sweep goes on where it stopped
+python scripts/results.py keep runs/full_model    # copy what its comparison is of into docs/results/full_model
+python scripts/results.py restore             # put it back into runs/: comparing it, or the same sweep, trains nothing
 python scripts/results.py table               # write the tables of docs/results.md and its figures
 
-`keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scalars, its values
-a frame and what it was made with; not with its weights. Times a frame are kept, too. Of each variant on the data of the
-reference the first training keeps one picture. Prose in docs/results.md stays as it is: only what stands between the
-two markers is written.
+`keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scores and what it
+was made with; not with its weights. Times a frame are kept, too. Of each variant on the data of the reference the first
+training keeps one picture. Prose in docs/results.md stays as it is: what stands between the two markers is written.
 """
 
 import argparse
-import json
 import shutil
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from ablate.runs.run import Run, State
 
 from ablate.analysis import RESIMULATION
-from ablate.storage import write_json
-from ablate.study.comparable import usable_runs
+from ablate.storage import known_json, write_json
+from ablate.study.comparable import comparable_runs
 from ablate.study.frame_times import TIMES
 from ablate.study.reading import pictures
-from results_page import FRAME, MAIN, PICTURES, write_page
+from ablate.study.run import COMPARISON, LIST, Run, RunList, read_list, write_list
+from ablate.study.training import ABOUT, RESULT
+from results_page import FRAME, MAIN, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-KEPT, PAGE = DOCS / "results", DOCS / "results.md"
-VALUES, MADE_WITH = "per_image.parquet", "provenance/made_with.json"
+KEPT = DOCS / "results"
+PAGE = DOCS / "results.md"
 
 
 def keep(study: Path, kept: Path = KEPT) -> list[str]:
-    """Copy the finished runs of a study, small: what is kept already and has the same hash stays as it is.
+    """Copy the runs that a study's comparison is of, small: what is kept already stays as it is.
+
+    A run that is kept with the same name and another configuration is replaced.
 
     Parameters
     ----------
@@ -51,55 +52,71 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
     Raises
     ------
     ValueError
-        When the study has no finished run, or a kept run has another configuration.
+        When the study has no comparison of finished runs.
     """
-    usable = usable_runs(study)
+    study = study.resolve()
+    listed = read_list(study)
+    usable = comparable_runs(listed)
     if not usable.runs:
-        raise ValueError(f"{study} holds no finished run; allowed is the folder of a study, as runs/full_model")
-    target = kept / study.resolve().name
-    said = list(usable.notes)
+        raise ValueError(f"{study} holds no comparison; allowed is the folder of a compared study, as runs/full_model")
+    target = kept / study.name
+    lines = list(usable.notes)
     for run in usable.all:
-        folder = target / run.label / f"seed{run.seed}"
-        there = folder / "result.json"
-        if there.exists():
-            before = json.loads(there.read_text())
-            if before["hash"] != run.result["hash"]:
-                raise ValueError(f"{folder} holds another configuration of {run.name}: remove it or keep it elsewhere")
-            if before == run.result:
-                continue
+        folder = target / run.training.folder.name
+        if _is_kept(run, folder):
+            continue
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        settings = run.spec["settings"]
-        scene = {name: Path(v).name if name == "folder" and v else v for name, v in settings["scene"].items()}
-        own = {"runs_dir": "runs", "tracking": {**settings.get("tracking", {}), "uri": None}, "scene": scene}
-        write_json(folder / "spec.json", {**run.spec, "settings": {**settings, **own}})
-        pack(run.folder / VALUES, folder / VALUES)
-        if run.seed == 0 and target.name == MAIN and run in usable.runs and (run.folder / PICTURES).exists():
-            with np.load(run.folder / PICTURES) as shown:
-                np.savez_compressed(folder / PICTURES, frames=shown["frames"][:1], images=shown["images"][:1])
-        if (run.folder / MADE_WITH).exists():
-            (folder / MADE_WITH).parent.mkdir(exist_ok=True)
-            shutil.copyfile(run.folder / MADE_WITH, folder / MADE_WITH)
-        write_json(there, run.result)  # last: a run that has it is whole
-        said.append(f"kept {run.name}")
+        _copy(run, folder)
+        if run.seed == 0 and target.name == MAIN and run in usable.runs and run.training.pictures_file.exists():
+            with np.load(run.training.pictures_file) as shown:
+                copied = folder / run.training.pictures_file.name
+                np.savez_compressed(copied, frames=shown["frames"][:1], images=shown["images"][:1])
+        lines.append(f"kept {run.name}")
+    _write_list(target, replace(listed, runs=usable.all))
     if (study / TIMES).exists():
         shutil.copyfile(study / TIMES, target / TIMES)
     if target.name == MAIN and not (target / FRAME).exists():
-        said += keep_frame(usable.runs, target / FRAME)
-    return said
+        lines += keep_frame(usable.runs, target / FRAME)
+    return lines
 
 
-def pack(source: Path, target: Path) -> None:
-    """Copy per-image values: float32, the smallest integers, zstd.
+def _is_kept(run: Run, folder: Path) -> bool:
+    """Whether the folder has the same training, and every score."""
+    same = known_json(folder / RESULT) == run.training.result
+    return same and all((folder / "scores" / name).exists() for name in run.score_names)
 
-    Parameters
-    ----------
-    source, target : Path
-    """
-    table = pd.read_parquet(source)
-    for name in ("frame", "site", "seed"):
-        table[name] = pd.to_numeric(table[name], downcast="integer")
-    table.astype({"value": "float32"}).to_parquet(target, compression="zstd", compression_level=19, index=False)
+
+def _copy(run: Run, folder: Path) -> None:
+    """Copy a run without its weights, and without paths of this machine."""
+    training = run.training
+    settings = training.about["settings"]
+    scene = dict(settings["scene"])
+    if scene.get("folder"):
+        scene["folder"] = Path(scene["folder"]).name
+    tracking = {**settings.get("tracking", {}), "uri": None}
+    settings = {**settings, "runs_dir": "runs", "tracking": tracking, "scene": scene}
+    (folder / "scores").mkdir(parents=True)
+    write_json(folder / ABOUT, {**training.about, "settings": settings})
+    for name in run.score_names:
+        shutil.copyfile(training.scores / name, folder / "scores" / name)
+    if training.made_with:
+        (folder / "provenance").mkdir()
+        write_json(folder / "provenance" / "made_with.json", training.made_with)
+    write_json(folder / RESULT, training.result)  # last: a training that has it is whole
+
+
+def _write_list(target: Path, listed: RunList) -> None:
+    """Add runs to those that are kept of a study, and remove those of the same names."""
+    names = {run.name for run in listed.runs}
+    folders = {run.training.folder.name for run in listed.runs}
+    others = []
+    for run in read_list(target).runs:
+        if run.name not in names:
+            others.append(run)
+        elif run.training.folder.name not in folders:
+            shutil.rmtree(run.training.folder)
+    (target / COMPARISON).mkdir(exist_ok=True)
+    write_list(target / COMPARISON, replace(listed, runs=(*listed.runs, *others)))
 
 
 def keep_frame(runs: Sequence[Run], path: Path) -> list[str]:
@@ -132,7 +149,7 @@ def keep_frame(runs: Sequence[Run], path: Path) -> list[str]:
 
 
 def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
-    """Put kept runs back where a sweep looks for them. What is finished there, or has another configuration, stays.
+    """Put kept runs, and the lists of those that are compared, where commands look for them. What is there stays.
 
     Parameters
     ----------
@@ -145,31 +162,23 @@ def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
     list of str
         A line a run.
     """
-    said = []
-    results = sorted(kept.glob("*/*/seed*/result.json"))
-    if older := [result for result in results if Run(result.parent).state is not State.finished]:
-        why = Run(older[0].parent).why
-        said.append(f"{len(older)} kept runs stay where they are: they are of an older version of ablate ({why})")
-    for result in (result for result in results if result not in older):
+    lines = []
+    for result in sorted(kept.glob(f"*/*/{RESULT}")):
         name = result.parent.relative_to(kept)
         target = runs_dir / name
-        if (target / "result.json").exists() or _hash(target) not in ("", _hash(result.parent)):
-            said.append(f"there already: {name}")
+        if (target / RESULT).exists():
+            lines.append(f"there already: {name}")
             continue
-        whole = shutil.ignore_patterns("result.json")  # it comes last: a run that has it is whole
-        shutil.copytree(result.parent, target, dirs_exist_ok=True, ignore=whole)
-        shutil.copyfile(result, target / "result.json")
-        said.append(f"restored {name}")
-    for times in kept.glob(f"*/{TIMES}"):
-        if not (there := runs_dir / times.relative_to(kept)).exists():
-            shutil.copyfile(times, there)
-    return said
-
-
-def _hash(run: Path) -> str:
-    """The hash of a run's configuration; empty where it was never started."""
-    spec = run / "spec.json"
-    return str(json.loads(spec.read_text())["hash"]) if spec.exists() else ""
+        all_else = shutil.ignore_patterns(RESULT)  # it comes last: a training that has it is whole
+        shutil.copytree(result.parent, target, dirs_exist_ok=True, ignore=all_else)
+        shutil.copyfile(result, target / RESULT)
+        lines.append(f"restored {name}")
+    for file in (*kept.glob(f"*/{TIMES}"), *kept.glob(f"*/{COMPARISON}/{LIST}")):
+        target = runs_dir / file.relative_to(kept)
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
+    return lines
 
 
 def main() -> int:

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-from ablate.runs.run import Run
 from PIL import Image
 
 import ablate
@@ -32,15 +31,15 @@ from ablate.command.compose import jobs_of
 from ablate.metrics import metric_of
 from ablate.metrics.metric import FRAME_TIME
 from ablate.settings.conf import components
+from ablate.study.comparable import versions_of
 from ablate.study.opened import Study
 from ablate.study.reading import provenance
+from ablate.study.run import Run, read_list
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
-FRAME, PICTURES = "frame.npz", "pictures.npz"
-# By study, the file of conf/study that lists the runs of its design, and the one that lists those beside it.
-# Only these studies are shown; the first one keeps pictures.
-MAIN = "full_model"
-PLANS = {MAIN: (MAIN, "full_model_beside"), "extension": ("extension",)}
+FRAME = "frame.npz"
+MAIN = "full_model"  # which keeps pictures
+STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
 # What SA2H of preset=quick is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
@@ -48,17 +47,20 @@ NAMES = {component.key: component.name for component in components()}
 
 
 @cache
-def planned_runs(group: str) -> frozenset[str]:
+def planned_runs(study: str) -> frozenset[str]:
     """Names of the runs of a file of conf/study."""
-    return frozenset(job.name for job in jobs_of([f"+study={group}"]))
+    return frozenset(job.name for job in jobs_of([f"+study={study}"]))
 
 
 def finished_of(study: str, runs: Sequence[Run]) -> tuple[bool, str]:
-    """Whether runs of a study's design are missing, and a sentence that says how many runs are finished."""
+    """Whether runs of a study's design are missing, and a sentence that says how many runs are finished.
+
+    Runs of another variant than the reference are beside the design.
+    """
     done = {run.name for run in runs}
-    parts = [planned_runs(part) for part in PLANS[study]]
-    design, together = parts[0], frozenset.union(*parts)
-    said = f"{len(together & done)} of {len(together)} runs are finished"
+    planned = planned_runs(study)
+    design = {name for name in planned if re.split(r"[./]", name)[0] == REFERENCE}
+    said = f"{len(planned & done)} of {len(planned)} runs are finished"
     if design <= done:
         return False, f"{said}."
     return True, f"{said}: {len(design & done)} of the {len(design)} runs of the design."
@@ -123,19 +125,22 @@ def study_lines(folder: Path) -> Iterator[str]:
 
 
 def about(runs: Sequence[Run], per_image: pd.DataFrame) -> str:
-    """Size, data, code and machines of a study, in a paragraph."""
-    s = runs[0].spec["settings"]
+    """Size, data, versions, code and machines of a study, in a paragraph."""
+    s = runs[0].training.about["settings"]
     rows, columns = s["simulator"]["image_shape"]
     sets = ", ".join(f"`{name}`" for name in dict.fromkeys(run.data for run in runs))
     tested = per_image[per_image["variant"] != RESIMULATION]
     made = {run.name: provenance([run]) for run in runs}
     commits = Counter(of.get("git_commit", "")[:7] for of in made.values())
     machines = Counter(of.get("hardware", "") for of in made.values())
-    started, scored = (min(str(run.result[name]) for run in runs) for name in ("started", "first_scored"))
+    started = min(str(run.training.result["started"]) for run in runs)
+    scored = min(run.first_scored for run in runs)
+    versions = " and ".join(f"version {version} of the {what}" for what, version in versions_of(runs))
     said = [
         f"Frames of {rows} x {columns} pixels, networks of {s['model']['width']:g} times the paper's width, "
         f"{s['training']['steps']:,} training steps. Data: {sets}; in the first {tested['frame'].nunique()} test "
         f"frames of {tested['site'].nunique()} sites.",
+        f"The results are of {versions}.",
         f"The first run was started at {started}, and the first test frame was scored at {scored}.",
         f"Commits: {', '.join(filter(None, commits))}." if any(commits) else "",
         f"Machines: {'; '.join(f'{name} ({n} runs)' for name, n in machines.items())}." if any(machines) else "",
@@ -158,7 +163,7 @@ def shares(study: Study) -> pd.DataFrame:
     ms = study.table[study.table["metric"] == FRAME_TIME].set_index("variant")["mean"]
     rows = []
     for run in (*study.usable.runs, *(run for run in study.usable.blocks if network_of(run.label) == REFERENCE)):
-        scalars = run.result["scalars"]
+        scalars = run.scalars
         row = {name: scalars[f"test/{name}"] / scalars[f"test/floor_{name}"] for name in list(BARS)[:-1]}
         name = network_of(run.label) if run in study.usable.runs else run.label
         row |= {"fd_speckle": scalars["test/fd_speckle"], "runs": 1, "ms": ms.get(run.label)}
@@ -219,10 +224,9 @@ def kept_frame(folder: Path, runs: Sequence[Run]) -> FramePictures | None:
     predictions = {RESIMULATION: maps["resimulation"]} if "resimulation" in maps else {}
     order = ordered_variants([run.label for run in runs])
     for run in sorted(runs, key=lambda run: (order.index(run.label), run.seed)):
-        if (name := network_of(run.label)) not in predictions and (run.folder / PICTURES).exists():
-            with np.load(run.folder / PICTURES) as file:
-                if number in file["frames"]:
-                    predictions[name] = file["images"][file["frames"].tolist().index(number)]
+        images = run.training.pictures
+        if number in images:
+            predictions.setdefault(network_of(run.label), images[number])
     of = maps["mask"], maps["segmentation"], maps.get("attenuation")
     return FramePictures(f"frame {number}", maps["target"], predictions, *of)
 
@@ -281,7 +285,7 @@ def write_page(kept: Path, page: Path) -> None:
 
     `kept` is the folder of kept studies. Raises ValueError when nothing is kept.
     """
-    studies = [kept / name for name in PLANS if any((kept / name).glob("*/seed*/result.json"))]
+    studies = [kept / name for name in STUDIES if read_list(kept / name).runs]
     if not studies:
         raise ValueError(f"{kept} holds no study; `python scripts/results.py keep runs/full_model` copies one")
     text = page.read_text() if page.exists() else f"# Results\n\n{BEGIN}\n{END}\n"

@@ -1,62 +1,65 @@
 """Kept results: small copies that bring a study back, and a page written from them."""
 
 import importlib
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from unittest import mock
 
 import numpy as np
 import pandas as pd
 import pytest
-from ablate.runs.place import claim_place, finished_run
 
 from ablate import open_study
 from ablate.metrics import METRICS
 from ablate.settings.conf import components
-from ablate.storage import digest, write_json
-from ablate.study.job import Job
-from support.finished_runs import result_of
-from support.studies import study_group
+from ablate.storage import write_json
+from ablate.study.job import Job, claim
+from ablate.study.run import COMPARISON, Run, RunList, listed_runs, read_list, write_list
+from ablate.study.scores import Score, wanted_scores, write_score
+from ablate.study.training import Training
+from ablate.training.settings import TRAINING_VERSION
+from ablate.ultrasound.settings import SIMULATOR_VERSION
+from support.studies import run, study_group
 
+ROOT = Path(__file__).parents[1]
 FRAMES, SITES = 8, 8
-PLAN = ("full_model", "full_model_beside")
 RUNS, OF_DESIGN = 61, 52
 PER_IMAGE = [name for name, metric in METRICS.items() if metric.of_image or metric.of_draws]
-SCALARS = ("fd_speckle", "kd_speckle")
 EFFECT = 6.0  # on every metric of going without the attenuation map; twice the band
 IMAGE = np.full((40, 60), 90, np.uint8)
 PRINTED = "sa2h-printed.crop-0.reconstruction-l1"
+WHEN = "2026-01-01T00:00:00+00:00"
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     page = importlib.import_module("results_page")
     monkeypatch.setattr(page, "jobs_of", lambda words: study_group(words[0].removeprefix("+study=")))
     return importlib.import_module("results")
 
 
 def jobs_in(runs: Path) -> list[Job]:
-    """Every job of the two halves of the plan, each once."""
-    jobs = {job.name: job for part in PLAN for job in study_group(part)}.values()
+    """Every job of the study."""
+    jobs = study_group("full_model")
     return [replace(job, settings=replace(job.settings, runs_dir=str(runs))) for job in jobs]
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> list[Job]:
-    return jobs_in(tmp_path_factory.mktemp("study") / "runs")
-
-
-@pytest.fixture(scope="module")
-def whole(planned: list[Job]) -> Path:
-    """The whole study, as if trained."""
-    for job in planned:
-        pretend(job)
-    (planned[0].settings.study_dir / ".claim.lock").unlink()
-    return planned[0].settings.study_dir
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole study, as if trained and compared."""
+    jobs = jobs_in(tmp_path_factory.mktemp("study") / "runs")
+    with mock.patch("os.fsync"):  # of a thousand files
+        for job in jobs:
+            pretend(job)
+    folder = jobs[0].settings.study_dir
+    (folder / ".claim.lock").unlink()
+    (folder / COMPARISON).mkdir()
+    write_list(folder / COMPARISON, listed_runs(jobs))
+    return folder
 
 
 @pytest.fixture
@@ -66,33 +69,40 @@ def study(whole: Path, tmp_path: Path) -> Path:
 
 
 def pretend(job: Job) -> None:
-    """Write the files of a finished run: chance about 20 in every metric, and 26 without the attenuation map.
+    """Write the files of a finished training: chance about 20 in every metric, and 26 without the attenuation map.
 
     In the second anatomy both are 5 more.
     """
     s, rng = job.settings, np.random.default_rng(job.settings.seed)
     anatomy = s.scene.anatomy_seed
     mean = 5 + 5 * anatomy + rng.normal(scale=0.1) + EFFECT * (s.model.attenuation == "none")
-    claim_place(job)
-    rows = [
-        {"frame": 300 + f, "site": f % SITES, "metric": m, "value": v + rng.normal(scale=0.01), "source": o, "split": p}
-        for m in PER_IMAGE
-        for o, v in (("model", mean), ("resimulation", 12.0 if METRICS[m].better != "higher" else 32.0))
-        for p in ("test", "validation")
-        for f in range(FRAMES)
-    ]
-    pd.DataFrame(rows).assign(variant=job.label, seed=s.seed).to_parquet(job.folder / "per_image.parquet")
-    np.savez(job.folder / "pictures.npz", frames=[300, 310], images=[IMAGE, IMAGE // 2])
-    scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "seconds": 30.0}
-    scalars |= {f"test/{name}": 0.5 + 0.01 * mean for name in SCALARS}
-    scalars |= {f"test/{name}": mean for name in PER_IMAGE} | {f"test/floor_{name}": 12.0 for name in PER_IMAGE}
-    scalars |= {f"test/floor_{name}": 0.1 for name in SCALARS}
-    result = result_of(job, data=f"fetal-{anatomy}", scalars=scalars)
-    (job.folder / "result.json").write_text(json.dumps(result))
-    (job.folder / "provenance").mkdir()
+    training = claim(job)
+    pixels = f"{anatomy}" * 16
+    for key in wanted_scores(s.metrics, s.evaluation, pixels):
+        floor = 12.0 if METRICS[key.metric].better != "higher" else 32.0
+        rows = [
+            (300 + frame, frame % SITES, key.metric, value + rng.normal(scale=0.01), source, part)
+            for source, value in (("model", mean), ("resimulation", floor))
+            for part in ("test", "validation")
+            for frame in range(FRAMES)
+        ]
+        values = pd.DataFrame(rows, columns=["frame", "site", "metric", "value", "source", "split"])
+        scalars = {f"test/{key.metric}": mean, f"test/floor_{key.metric}": 12.0}
+        if key.metric not in PER_IMAGE:
+            values = values.iloc[:0]
+            scalars = {f"test/{key.metric}": 0.5 + 0.01 * mean, f"test/floor_{key.metric}": 0.1}
+        write_score(training.scores, key, Score(values, scalars, (), WHEN))
+    np.savez(training.pictures_file, frames=[300, 310], images=[IMAGE, IMAGE // 2])
+    training.provenance.mkdir()
     made_with = {"git_commit": "0123456789", "git_dirty": "false", "hardware": f"machine {anatomy}"}
-    (job.folder / "provenance" / "made_with.json").write_text(json.dumps(made_with))
-    (job.folder / "last.ckpt").write_text("weights")
+    write_json(training.provenance / "made_with.json", made_with)
+    training.checkpoint.write_text("weights")
+    scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "train/seconds": 30.0}
+    training.write_result({"pixels": pixels, "scalars": scalars, "notes": [], "started": WHEN, "ended": WHEN})
+
+
+def runs_by_name(study: Path) -> dict[str, Run]:
+    return {run.name: run for run in read_list(study).runs}
 
 
 def keep_frame(kept: Path) -> None:
@@ -117,63 +127,107 @@ def rows_of(text: str, heading: str) -> dict[str, list[str]]:
     return rows
 
 
-def test_what_is_kept_is_small_whole_and_without_the_machine(study: Path, script: ModuleType, tmp_path: Path) -> None:
+def test_what_is_kept_is_whole_and_without_the_machine(study: Path, script: ModuleType, tmp_path: Path) -> None:
     lines = script.keep(study, tmp_path / "kept")
     assert lines.count("kept sa2h/seed0") == 1
     assert sum(line.startswith("kept ") for line in lines) == RUNS
     assert any(line.startswith("no picture of the target is kept") for line in lines), "its pairs are not on disk"
     folder = tmp_path / "kept" / study.name
-    run = folder / "sa2h.attenuation-none" / "seed1"
-    assert set(contents(run)) == {"spec.json", "result.json", "per_image.parquet", "provenance/made_with.json"}
-    assert str(study.parents[1]) not in (run / "spec.json").read_text(), "no path of this machine"
-    of_both = (study / "sa2h.attenuation-none" / "seed1", run)
-    original, kept = (pd.read_parquet(f / "per_image.parquet") for f in of_both)
-    pd.testing.assert_frame_equal(kept, original, check_dtype=False, rtol=1e-6)
-    assert kept["value"].dtype == "float32"
-    pictured = {path.parts[-3]: path for path in folder.glob("*/seed*/pictures.npz")}
-    assert pictured.keys() == {path.name for path in study.iterdir() if "anatomy" not in path.name}
-    assert {path.parent.name for path in pictured.values()} == {"seed0"}
-    with np.load(pictured["sa2h.attenuation-none"]) as shown:
+    original = runs_by_name(study)["sa2h.attenuation-none/seed1"]
+    kept = runs_by_name(folder)[original.name]
+    assert set(contents(kept.training.folder)) == {
+        "training.json",
+        "trained.json",
+        "provenance/made_with.json",
+        *(f"scores/{name}" for name in original.score_names),
+    }
+    assert str(study.parents[1]) not in (kept.training.folder / "training.json").read_text(), "no path of this machine"
+    pd.testing.assert_frame_equal(kept.scores, original.scores)
+    assert kept.scalars == original.scalars
+    pictured = list(folder.glob("*/pictures.npz"))
+    labels = {run.label for run in runs_by_name(study).values() if "anatomy" not in run.label}
+    assert {Training(path.parent).label for path in pictured} == labels
+    assert {Training(path.parent).seed for path in pictured} == {0}
+    with np.load(pictured[0]) as shown:
         assert shown["frames"].tolist() == [300]
     before = contents(tmp_path / "kept")
     assert not any(line.startswith("kept ") for line in script.keep(study, tmp_path / "kept")), "a second time"
     assert contents(tmp_path / "kept") == before
-    result = json.loads((study / "sa2h" / "seed1" / "result.json").read_text())
-    write_json(study / "sa2h" / "seed1" / "result.json", {**result, "ended": "2031-01-01T00:00:00+00:00"})
-    again = [line for line in script.keep(study, tmp_path / "kept") if line.startswith("kept ")]
-    assert again == ["kept sa2h/seed1"], "trained or scored again"
+    again = runs_by_name(study)["sa2h/seed1"].training
+    again.write_result({**again.result, "ended": "2031-01-01T00:00:00+00:00"})
+    lines = [line for line in script.keep(study, tmp_path / "kept") if line.startswith("kept ")]
+    assert lines == ["kept sa2h/seed1"], "trained again"
+
+
+def compared(folder: Path, runs: Sequence[Run]) -> None:
+    write_list(folder / COMPARISON, RunList(folder, tuple(runs), (), "sa2h"))
 
 
 def test_a_study_is_kept_in_pieces_from_several_machines(study: Path, script: ModuleType, tmp_path: Path) -> None:
-    other = shutil.copytree(study, tmp_path / "other" / study.name)
-    labels = sorted(folder.name for folder in study.iterdir())
-    for label in labels[:12]:
-        shutil.rmtree(study / label)
-    for label in labels[12:]:
-        shutil.rmtree(other / label)
+    runs = read_list(study).runs
+    for part in (runs[:30], runs[20:]):
+        compared(study, part)
+        script.keep(study, tmp_path / "kept")
+    kept = tmp_path / "kept" / study.name
+    assert runs_by_name(kept).keys() == {run.name for run in runs}
+    assert len(list(kept.glob("*/trained.json"))) == RUNS
+
+
+def test_a_run_of_another_configuration_replaces_the_one_of_its_name(
+    study: Path, script: ModuleType, tmp_path: Path
+) -> None:
     script.keep(study, tmp_path / "kept")
-    script.keep(other, tmp_path / "kept")
-    assert len(list((tmp_path / "kept" / study.name).glob("*/seed*/result.json"))) == RUNS
+    kept = tmp_path / "kept" / study.name
+    before = runs_by_name(kept)["sa2h/seed1"].training
+    job = next(job for job in jobs_in(tmp_path / "runs") if job.name == "sa2h/seed1")
+    training = replace(job.settings.training, steps=job.settings.training.steps + 1)
+    longer = replace(job, settings=replace(job.settings, training=training))
+    pretend(longer)
+    compared(study, listed_runs([longer]).runs)
+    assert "kept sa2h/seed1" in script.keep(study, tmp_path / "kept")
+    assert runs_by_name(kept)["sa2h/seed1"].training.hash == longer.hash != before.hash
+    assert len(runs_by_name(kept)) == RUNS
+    assert not before.folder.exists()
 
 
 def test_a_restored_study_has_nothing_left_to_do(study: Path, script: ModuleType, tmp_path: Path) -> None:
     script.keep(study, tmp_path / "kept")
-    (study / "sa2h" / "seed2" / "result.json").write_text("{}")
-    (study / "sa2h" / "seed1" / "result.json").unlink()
-    for name in ("spec.json", "result.json"):
-        (study / "nsa2h" / "seed0" / name).unlink()
-        (study / "lsa2h" / "seed0" / name).unlink()
-    (study / "lsa2h" / "seed0" / "spec.json").write_text('{"hash": "another"}')
-    shutil.rmtree(study / PRINTED)
+    folders = {name: run.training.folder for name, run in runs_by_name(study).items()}
+    (folders["sa2h/seed1"] / "trained.json").unlink()
+    for file in ("training.json", "trained.json", "last.ckpt"):
+        (folders["nsa2h/seed0"] / file).unlink()
+    for seed in range(3):
+        shutil.rmtree(folders[f"{PRINTED}/seed{seed}"])
+    shutil.rmtree(study / COMPARISON)
     lines = script.restore(tmp_path / "kept", tmp_path / "runs")
     back = {line.split()[-1] for line in lines if line.startswith("restored")}
     anew = ("nsa2h/seed0", "sa2h/seed1", *(f"{PRINTED}/seed{k}" for k in range(3)))
-    assert back == {f"full_model/{name}" for name in anew}, "also what was started and has not finished"
-    assert f"there already: {study.name}/sa2h/seed2" in lines, "what is there is not touched"
-    assert f"there already: {study.name}/lsa2h/seed0" in lines, "another configuration is not touched"
-    left = [job.name for job in jobs_in(tmp_path / "runs") if finished_run(job) is None]
-    assert left == ["sa2h/seed2", "lsa2h/seed0"]
-    assert (study / PRINTED / "seed0" / "provenance" / "made_with.json").exists()
+    assert back == {f"full_model/{folders[name].name}" for name in anew}, "also what was started and has not finished"
+    assert f"there already: full_model/{folders['sa2h/seed2'].name}" in lines, "what is there is not touched"
+    assert [job.name for job in jobs_in(tmp_path / "runs") if not job.finished] == []
+    assert len(read_list(study).runs) == RUNS
+
+
+def test_make_answer_shows_the_kept_results_where_nothing_was_run(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recipe = (ROOT / "Makefile").read_text().split("\nanswer:", 1)[1].split("\n\n", 1)[0].splitlines()[1:]
+    restoring, *comparing, _ = [line.split("$(BIN)/python ")[1] for line in recipe]
+    assert restoring == "scripts/results.py restore"
+    assert comparing == [f"-m ablate task=compare study_name={name}" for name in ("full_model", "extension")]
+    monkeypatch.chdir(tmp_path)
+    script.restore()
+    with (
+        mock.patch("ablate.study.compare.draw_figures", return_value=[]),
+        mock.patch("ablate.publish.publish_study", return_value=""),
+    ):
+        run(*comparing[1].removeprefix("-m ablate ").split())
+    folder = Path("runs") / "extension"
+    assert "These results are of version 8 of the simulator" in capsys.readouterr().out
+    assert "version 8 of the simulator" in (folder / COMPARISON / "report.html").read_text()
+    assert not list(folder.glob("*/last.ckpt")), "nothing was trained"
+    made, kept = (pd.read_csv(path / "verdicts.csv") for path in (folder / COMPARISON, ROOT / "docs/results/extension"))
+    pd.testing.assert_frame_equal(made, kept, rtol=1e-9)
 
 
 def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Path) -> None:
@@ -191,6 +245,7 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     assert f"{RUNS} of {RUNS} runs are finished." in text
     assert "preliminary" not in text
     assert "machine 3 (35 runs); machine 4 (26 runs)" in text
+    assert f"of version {SIMULATOR_VERSION} of the simulator and version {TRAINING_VERSION} of the training." in text
     assert "nan" not in text.lower()
     for name in ("qualitative", "verdicts"):
         assert f"![{name}](results/full_model/{name}.png)" in text
@@ -236,8 +291,8 @@ def test_verdicts_are_those_of_a_script_that_uses_nothing_of_the_package(
 
 def test_verdicts_of_an_unfinished_design_are_preliminary(study: Path, script: ModuleType, tmp_path: Path) -> None:
     kept, page = tmp_path / "results", tmp_path / "results.md"
-    for cell in sorted(study.glob("*.concat-input/seed*")):
-        (cell / "result.json").unlink()
+    for result in sorted(study.glob("*.concat-input-seed*/trained.json")):
+        result.unlink()
     script.keep(study, kept)
     script.write_page(kept, page)
     text = page.read_text()
@@ -252,9 +307,7 @@ def test_verdicts_of_an_unfinished_design_are_preliminary(study: Path, script: M
 def test_a_page_is_made_of_whatever_has_finished(
     study: Path, script: ModuleType, tmp_path: Path, labels: Sequence[str]
 ) -> None:
-    for folder in study.iterdir():
-        if folder.name not in labels:
-            shutil.rmtree(folder)
+    compared(study, [run for run in read_list(study).runs if run.label in labels])
     script.keep(study, tmp_path / "results")
     script.write_page(tmp_path / "results", tmp_path / "page.md")
     text = (tmp_path / "page.md").read_text()
@@ -264,7 +317,7 @@ def test_a_page_is_made_of_whatever_has_finished(
 
 
 def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="holds no finished run"):
+    with pytest.raises(ValueError, match="holds no comparison"):
         script.keep(tmp_path / "nowhere", tmp_path / "kept")
     with pytest.raises(ValueError, match="holds no study"):
         script.write_page(tmp_path / "kept", tmp_path / "page.md")
@@ -272,11 +325,3 @@ def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType
     (tmp_path / "page.md").write_text("No markers.")
     with pytest.raises(ValueError, match="lacks the markers"):
         script.write_page(tmp_path / "kept", tmp_path / "page.md")
-    for folder in (study / "sa2h").iterdir():
-        spec, result = (json.loads((folder / name).read_text()) for name in ("spec.json", "result.json"))
-        spec["semantic"]["training"]["steps"] += 1
-        spec["hash"] = result["hash"] = digest(spec["semantic"])
-        (folder / "spec.json").write_text(json.dumps(spec))
-        (folder / "result.json").write_text(json.dumps(result))
-    with pytest.raises(ValueError, match=r"another configuration of sa2h/seed0"):
-        script.keep(study, tmp_path / "kept")

@@ -84,15 +84,25 @@ def _of_same_pixels(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     return alike, [run.name for run in runs if run not in alike]
 
 
+def versions_of(runs: Sequence[Run]) -> list[tuple[str, object]]:
+    """The versions of the simulator and of the training that results are of; pairs made elsewhere have no simulator."""
+    identities = [dict(flat(run.identity)) for run in runs]
+    return [
+        (what, version)
+        for key, (what, _) in _VERSIONS.items()
+        for version in sorted({identity[key] for identity in identities if key in identity}, key=str)
+    ]
+
+
 def _versions(runs: Sequence[Run]) -> list[str]:
     """A sentence where runs are of other versions of the simulator or the training than this program."""
-    identities = [dict(flat(run.identity)) for run in runs]
+    found = versions_of(runs)
     notes = []
-    for key, (what, version) in _VERSIONS.items():
-        found = {identity[key] for identity in identities if key in identity}
-        if found - {version}:
-            versions = " and ".join(str(one) for one in sorted(found, key=str))
-            notes.append(f"These results are of version {versions} of the {what}; this program has version {version}.")
+    for what, version in _VERSIONS.values():
+        versions = [one for name, one in found if name == what]
+        if set(versions) - {version}:
+            of_runs = " and ".join(map(str, versions))
+            notes.append(f"These results are of version {of_runs} of the {what}; this program has version {version}.")
     return notes
 
 

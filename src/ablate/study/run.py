@@ -21,7 +21,7 @@ from ablate.study.training import Training
 
 _LOG = logging.getLogger(__name__)
 COMPARISON = "comparison"  # folder of a study beside its trainings
-_LIST = "jobs.json"  # in it
+LIST = "jobs.json"  # in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +76,11 @@ class Run:
         return scalars
 
     @property
+    def first_scored(self) -> str:
+        """When the first of its scores was computed, as ISO 8601."""
+        return min(score.scored for score in self._scores)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was left out, or is wrong with its images, a sentence each."""
         told = [*(note for score in self._scores for note in score.notes), *self.training.result["notes"]]
@@ -119,7 +124,7 @@ def write_list(folder: Path, listed: RunList) -> None:
         {"training": run.training.folder.name, "label": run.label, "changed": run.changed, "scores": run.score_names}
         for run in listed.runs
     ]
-    write_json(folder / _LIST, {"reference": listed.reference, "jobs": jobs})
+    write_json(folder / LIST, {"reference": listed.reference, "jobs": jobs})
 
 
 def read_list(study_dir: Path) -> RunList:
@@ -127,14 +132,14 @@ def read_list(study_dir: Path) -> RunList:
 
     The file may come from anybody: names of folders and files lead nowhere else.
     """
-    content = known_json(study_dir / COMPARISON / _LIST)
+    content = known_json(study_dir / COMPARISON / LIST)
     jobs = content.get("jobs")
     runs, unfinished = [], []
     for entry in jobs if isinstance(jobs, list) else []:
         try:
             run = _listed_run(study_dir, entry)
         except (KeyError, TypeError, ValueError) as error:
-            _LOG.warning("%s: a job cannot be read: %s", study_dir / COMPARISON / _LIST, error)
+            _LOG.warning("%s: a job cannot be read: %s", study_dir / COMPARISON / LIST, error)
             continue
         if run.training.is_trained and all(is_whole(run.training.scores / name) for name in run.score_names):
             runs.append(run)

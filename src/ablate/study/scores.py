@@ -25,6 +25,13 @@ from ablate.user_code import code_digest, load
 
 _METADATA = b"ablate"
 _SHORT = 8  # hexadecimal digits of digests in the names of files
+#: How a file is written: its table is so short that what Parquet tells of it would be most of the file.
+_AS_SMALL: Mapping[str, Any] = {
+    "compression": "zstd",
+    "use_dictionary": ["metric", "source", "split"],
+    "write_statistics": False,
+    "store_schema": False,
+}
 
 
 @dataclass(frozen=True)
@@ -109,10 +116,10 @@ def write_score(folder: Path, key: ScoreKey, score: Score) -> None:
     path = folder / key.file_name
     remove_partial(path)
     about = {"scalars": score.scalars, "notes": score.notes, "scored": score.scored, "pixels": key.pixels}
-    table = pa.Table.from_pandas(score.values, preserve_index=False)
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), _METADATA: json.dumps(about).encode()})
-    with written_whole(path) as partial:
-        pq.write_table(table, partial)
+    table = pa.Table.from_pandas(score.values, preserve_index=False).replace_schema_metadata()
+    with written_whole(path) as partial, pq.ParquetWriter(partial, table.schema, **_AS_SMALL) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({_METADATA: json.dumps(about)})
 
 
 def is_whole(path: Path) -> bool:

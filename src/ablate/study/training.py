@@ -26,8 +26,8 @@ from ablate.study.scores import ScoreKey, is_whole
 from ablate.training.settings import LAST
 
 _LOG = logging.getLogger(__name__)
-_ABOUT = "training.json"  # what it is: hash, label, seed, changed, identity, settings, data
-_RESULT = "trained.json"  # what it came to; written when the last step is done
+ABOUT = "training.json"  # what it is: hash, label, seed, changed, identity, settings, data
+RESULT = "trained.json"  # what it came to; written when the last step is done
 _PARAMETERS = ("parameters_generator", "parameters_discriminator")  # scalars that every training has
 _KINDS: Mapping[str, type] = {"pixels": str, "scalars": dict, "notes": list, "started": str, "ended": str}
 _EARLIER = "*/seed*/spec.json"  # of the layout before this one
@@ -74,12 +74,12 @@ class Training:
     @cached_property
     def about(self) -> dict[str, Any]:
         """What it is; empty where the file is missing or damaged."""
-        return known_json(self.folder / _ABOUT)
+        return known_json(self.folder / ABOUT)
 
     @cached_property
     def result(self) -> dict[str, Any]:
         """What it came to: pixels, scalars, notes, started, ended; empty until the last step is done."""
-        return known_json(self.folder / _RESULT)
+        return known_json(self.folder / RESULT)
 
     @cached_property
     def made_with(self) -> dict[str, Any]:
@@ -169,17 +169,17 @@ class Training:
     @cached_property
     def _standing(self) -> tuple[State, str]:
         has_checkpoint = self.checkpoint.exists()
-        if not (self.folder / _ABOUT).exists():
-            return (State.unusable, f"without a {_ABOUT}") if has_checkpoint else (State.missing, "")
+        if not (self.folder / ABOUT).exists():
+            return (State.unusable, f"without a {ABOUT}") if has_checkpoint else (State.missing, "")
         if not _is_described(self.about):
-            return State.unusable, f"with a {_ABOUT} that is damaged, or not what its hash says"
+            return State.unusable, f"with a {ABOUT} that is damaged, or not what its hash says"
         if not self.folder.name.endswith(_address("", self.about.get("seed"), self.hash)):
             return State.unusable, "in a folder that was renamed"
-        if not (self.folder / _RESULT).exists():
+        if not (self.folder / RESULT).exists():
             return (State.resumable if has_checkpoint else State.missing), "not finished"
         wrong = _unusable_keys(self.result)
         if wrong:
-            return State.unusable, f"without a usable {', '.join(wrong)} in {_RESULT}: start it again"
+            return State.unusable, f"without a usable {', '.join(wrong)} in {RESULT}: start it again"
         return State.trained, ""
 
     def lacking(self, wanted: Iterable[ScoreKey]) -> list[ScoreKey]:
@@ -192,22 +192,22 @@ class Training:
 
     def begin_again(self) -> None:
         """Forget what a training came to whose checkpoint is gone: its scores are those of other weights."""
-        (self.folder / _RESULT).unlink(missing_ok=True)
+        (self.folder / RESULT).unlink(missing_ok=True)
         rmtree(self.scores, ignore_errors=True)
 
     def write_result(self, result: Mapping[str, Any]) -> None:
         """Keep what it came to; from now on it is trained."""
-        write_json(self.folder / _RESULT, result)
+        write_json(self.folder / RESULT, result)
 
     def published_state(self) -> str:
         """A digest that changes with whatever a tracker shows of it."""
         shown = [self.folder / "log.jsonl", *sorted((self.folder / "images").glob("*")), *self.score_files()]
         sizes = {path.name: path.stat().st_size for path in shown if path.exists()}
-        return digest([sizes, digest_of_files([self.folder / _RESULT, *self.provenance_files()])])
+        return digest([sizes, digest_of_files([self.folder / RESULT, *self.provenance_files()])])
 
     def compared_state(self, scores: Sequence[str]) -> str:
         """A digest that changes with whatever a comparison that reads these scores reads."""
-        files = [self.folder / name for name in (_ABOUT, _RESULT)]
+        files = [self.folder / name for name in (ABOUT, RESULT)]
         files += [self.pictures_file, self.provenance / "made_with.json"]
         return digest_of_files([*files, *(self.scores / name for name in sorted(scores))])
 
@@ -243,16 +243,16 @@ def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
         if training.hash == about["hash"]:
             return training
         if training.checkpoint.exists():
-            damaged = f"{training.folder / _ABOUT} is missing or damaged"
+            damaged = f"{training.folder / ABOUT} is missing or damaged"
             raise ConfigurationError(f"{damaged}: what was trained is not known; remove {training.folder}")
         training.folder.mkdir(exist_ok=True)
-        write_json(training.folder / _ABOUT, about)
+        write_json(training.folder / ABOUT, about)
         return Training(training.folder)
 
 
 def trainings_in(study_dir: Path) -> list[Training]:
     """Every training in the folder of a study, in whatever state, by the name of its folder."""
-    return [Training(path.parent) for path in sorted(study_dir.glob(f"*/{_ABOUT}"))]
+    return [Training(path.parent) for path in sorted(study_dir.glob(f"*/{ABOUT}"))]
 
 
 def earlier_layout(study_dir: Path) -> list[str]:
