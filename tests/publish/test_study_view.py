@@ -1,0 +1,197 @@
+"""A study has one run in MLflow: its comparison, above the runs of its trainings, all of it made again from disk."""
+
+import re
+import shutil
+import sqlite3
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from mlflow.entities import Run
+
+from ablate.publish import mark_study, publish_study, study_view
+from ablate.study.compare import Compared, compare_study
+from ablate.study.job import Job
+from ablate.study.log import Status
+from ablate.study.run import listed_runs
+from support.published import active_runs, another_process, client_of, content_of, files_of, finish, job_in, written
+
+VARIANTS = ("sa2h", "sa2h-att")
+
+
+def compared(jobs: Sequence[Job]) -> Compared:
+    return compare_study(listed_runs(jobs), "study", time_here=False)
+
+
+def publish(jobs: Sequence[Job]) -> str:
+    """Compare jobs and publish that; returns what the terminal says of it."""
+    another_process()
+    of_jobs = compared(jobs)
+    return publish_study(jobs[0].settings, of_jobs.study, of_jobs.notes)
+
+
+def finished(runs: Path, variants: Sequence[str] = VARIANTS) -> list[Job]:
+    """Finished jobs of some variants, each with scores of its own."""
+    jobs = [job_in(runs, variant) for variant in variants]
+    for level, job in enumerate(jobs, start=20):
+        finish(job, float(level))
+    return jobs
+
+
+def study_in(runs: Path) -> Run:
+    return active_runs(runs)["study"]
+
+
+def test_the_page_of_a_study_links_to_its_report_and_to_its_variants_side_by_side(stopped_once: Job) -> None:
+    shown = active_runs(stopped_once.settings.results)
+    study, child = shown["study"], shown["sa2h/seed0"]
+    note = study.data.tags["mlflow.note.content"]
+    assert f"(#/experiments/1/runs/{study.info.run_id}/artifacts/report.html)" in note
+    assert f"(#/compare-runs?runs=%5B%22{child.info.run_id}%22%5D&experiments=%5B%221%22%5D)" in note
+    assert re.search(r"\| sa2h\s+\| 1", note)
+    assert re.search(r"\n\| --- \| ---: \|", note)
+    assert "nothing is compared" in note
+    assert study.data.metrics.keys() >= {f"test/psnr/{name}" for name in ("sa2h", "re-simulation")}
+    assert child.data.metrics["ms_per_frame"] > 0
+    assert (study.info.status, child.data.tags["mlflow.parentRunId"]) == ("FINISHED", study.info.run_id)
+
+
+def test_the_run_of_a_study_has_the_files_of_its_comparison_and_how_it_was_made(runs: Path) -> None:
+    jobs = finished(runs)
+    assert "Note" not in publish(jobs)
+    run = study_in(runs)
+    on_disk = {path.name for path in (runs / "study" / "comparison").iterdir()}
+    assert {"report.html", "table.csv", "table.tex", "verdicts.csv", "paired.csv"} < on_disk
+    assert files_of(runs, run).keys() == on_disk
+    means = {f"test/psnr/{name}": mean for name, mean in (("sa2h", 21.0), ("sa2h-att", 22.0), ("re-simulation", 21.0))}
+    assert {key: value for key, value in run.data.metrics.items() if "psnr/" in key} == means
+    assert run.data.tags.items() >= {"git_commit": "abc", "hardware": "a laptop"}.items()
+    assert run.data.params == {"scene": "fetal"}
+    parents = {name: content["parent"] for name, content in content_of(runs).items()}
+    assert parents == {"study": "none", "sa2h/seed0": "study", "sa2h-att/seed0": "study"}
+
+
+def test_publishing_again_writes_nothing(runs: Path) -> None:
+    jobs = finished(runs)
+    publish(jobs)
+    before = written(runs)
+    publish(jobs)
+    compare_study(listed_runs(jobs), "study", rebuild=True, time_here=False)  # the same files once more
+    publish(jobs)
+    assert written(runs) == before
+
+
+def test_nothing_of_an_earlier_comparison_stays(runs: Path) -> None:
+    jobs = finished(runs)
+    (compared(jobs).study.folder / "comparison" / "boxplots.png").write_bytes(b"of two variants")
+    publish(jobs)
+    first = study_in(runs)
+    assert "boxplots.png" in files_of(runs, first)
+    publish(jobs[:1])
+    run = study_in(runs)
+    assert "boxplots.png" not in files_of(runs, run)
+    assert "test/psnr/sa2h-att" not in run.data.metrics
+    children = {name: content["parent"] for name, content in content_of(runs).items() if name != "study"}
+    assert children == {"sa2h/seed0": "study", "sa2h-att/seed0": "study"}, "it is a training of the study all the same"
+
+
+def test_a_comparison_that_was_published_in_part_is_whole_in_the_end(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = finished(runs)
+    with monkeypatch.context() as patch:
+        patch.setattr(study_view, "_describe", lambda *_: 1 / 0)
+        assert "not all is in MLflow yet (ZeroDivisionError: division by zero)" in publish(jobs)
+    assert study_in(runs).info.status == "RUNNING"
+    assert "Note" not in publish(jobs)
+    assert study_in(runs).info.status == "FINISHED"
+    assert "mlflow.note.content" in study_in(runs).data.tags
+
+
+def deleted_study(runs: Path) -> None:
+    client_of(runs).delete_run(study_in(runs).info.run_id)
+
+
+def deleted_experiment(runs: Path) -> None:
+    client_of(runs).delete_experiment("1")
+
+
+def removed_files(runs: Path) -> None:
+    (runs / "mlflow.db").unlink()
+    shutil.rmtree(runs / "artifacts")
+
+
+@pytest.mark.parametrize("lost", [deleted_study, deleted_experiment, removed_files])
+def test_what_is_lost_in_mlflow_is_made_again_from_disk(runs: Path, lost: Callable[[Path], None]) -> None:
+    jobs = finished(runs)
+    publish(jobs[:1])
+    publish(jobs)  # in place of the first, which must not come back
+    before = content_of(runs)
+    lost(runs)
+    assert "Note" not in publish(jobs)
+    assert content_of(runs) == before
+
+
+def test_a_copy_of_a_folder_of_runs_is_published_there_and_leaves_the_original_alone(
+    runs: Path, tmp_path: Path
+) -> None:
+    publish(finished(runs))
+    shown, before = content_of(runs), written(runs)
+    copy = tmp_path / "copy"
+    shutil.copytree(runs, copy)
+    assert "Note" not in publish([job_in(copy, variant) for variant in VARIANTS])
+    assert content_of(copy) == shown
+    assert written(runs) == before
+
+
+def test_a_stranger_cannot_have_anything_written_elsewhere(runs: Path, tmp_path: Path) -> None:
+    jobs = finished(runs)
+    publish(jobs)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
+        connection.execute("UPDATE runs SET artifact_uri = ?", (elsewhere.as_uri(),))
+        connection.execute("UPDATE tags SET value = 'other' WHERE key = 'published'")
+    another_process()
+    of_jobs = compared(jobs)
+    assert "Note" not in publish_study(jobs[0].settings, of_jobs.study, of_jobs.notes)
+    assert not list(elsewhere.iterdir())
+    assert len(list((runs / "artifacts").glob("*/artifacts/report.html"))) == 2
+
+
+def test_a_link_in_the_folder_of_a_comparison_is_not_followed(runs: Path, tmp_path: Path) -> None:
+    jobs = finished(runs)
+    (tmp_path / "secret").write_text("canary")
+    (compared(jobs).study.folder / "comparison" / "notes.csv").symlink_to(tmp_path / "secret")
+    publish(jobs)
+    assert "notes.csv" not in files_of(runs, study_in(runs))
+
+
+def test_a_store_that_answers_too_slowly_is_not_waited_for(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs = finished(runs)
+    monkeypatch.setattr(study_view, "_WAIT_S", 0.2)
+    monkeypatch.setattr(study_view, "_MARK_S", 0.2)
+    monkeypatch.setattr(study_view, "open_store", lambda _: time.sleep(60))
+    started = time.monotonic()
+    mark_study(jobs[0].settings, Status.running)
+    assert "Note: not all is in MLflow yet (TimeoutError: no end after 0.2 s)" in publish(jobs)
+    assert time.monotonic() - started < 50
+
+
+def test_a_server_that_is_gone_is_named_and_all_is_published_later(runs: Path) -> None:
+    finished(runs)
+    gone = [job_in(runs, variant, uri="http://127.0.0.1:9") for variant in VARIANTS]
+    where = publish(gone)
+    assert where.startswith("http://127.0.0.1:9\nNote: not all is in MLflow yet (")
+    assert not active_runs(runs)
+    assert "Note" not in publish([job_in(runs, variant) for variant in VARIANTS])
+    assert active_runs(runs).keys() == {"study", "sa2h/seed0", "sa2h-att/seed0"}
+
+
+def test_how_a_study_stands_is_shown_before_any_training_begins(runs: Path) -> None:
+    settings = job_in(runs).settings
+    for status in (Status.running, Status.failed):
+        mark_study(settings, status)
+        assert study_in(runs).info.status == status
