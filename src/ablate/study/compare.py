@@ -23,7 +23,7 @@ from ablate.study.opened import Study
 from ablate.study.provenance import package_digest
 from ablate.study.reading import pictures, provenance, runtime_points
 from ablate.study.run import COMPARISON, Run, RunList, write_list
-from ablate.study.training import earlier_layout
+from ablate.study.training import earlier_layout, refuse_link
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,13 @@ class Compared:
     notes: tuple[str, ...]
 
 
-def compare_study(asked: RunList, title: str, rebuild: bool = False, time_here: bool = True) -> Compared:
+def compare_study(
+    asked: RunList,
+    title: str,
+    rebuild: bool = False,
+    time_here: bool = True,
+    custom: Sequence[str] = (),
+) -> Compared:
     """Compare runs of a study, on disk.
 
     Of several processes one compares and the others wait, and then keep what it made.
@@ -49,22 +55,26 @@ def compare_study(asked: RunList, title: str, rebuild: bool = False, time_here: 
         Whether a comparison of the same files is made again; otherwise it is kept.
     time_here : bool
         Whether networks that this machine has not timed are timed first.
+    custom : sequence of str
+        The classes of networks of the user's own that the command names. No other code is imported.
 
     Raises
     ------
     ConfigurationError
-        Where no run is finished.
+        Where no run is finished, or the folder is a link.
     """
+    refuse_link(asked.folder)
     usable = comparable_runs(asked)
     if not usable.runs:
         told = [f"{asked.folder} holds no finished run to compare.", *usable.notes, *earlier_layout(asked.folder)]
         raise ConfigurationError(" ".join(told))
     with FileLock(asked.folder / ".comparison.lock"):
-        return _compare(asked, usable, title, rebuild, time_here)
+        failed = time_networks(asked.folder, usable.all, custom) if time_here else ""
+        return _compare(asked, usable, title, rebuild, failed)
 
 
-def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, time_here: bool) -> Compared:
-    failed = time_networks(asked.folder, usable.all) if time_here else ""
+def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, failed: str) -> Compared:
+    """Compare usable runs; `failed` says why they were not timed."""
     notes = [*usable.notes, *earlier_layout(asked.folder), *filter(None, [failed]), *untimed(usable.all)]
     study = Study(asked, replace(usable, notes=tuple(notes)))
     made_from, marker = _made_from(study), asked.folder / COMPARISON / "made_from.json"
@@ -117,6 +127,13 @@ def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
     return notes if is_whole else None
 
 
+def _remove(folder: Path) -> None:
+    """Remove a folder, or a link that somebody has put in its place."""
+    if folder.is_symlink():
+        folder.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
 def write_comparison(study: Study, title: str) -> list[str]:
     """Write tables, figures and the report of a study; what was in its folder of comparison goes when all is written.
 
@@ -124,7 +141,7 @@ def write_comparison(study: Study, title: str) -> list[str]:
     """
     folder, usable, reference, judged = study.folder / COMPARISON, study.usable, study.reference, study.answers
     partial = folder.with_name(f"{folder.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
+    _remove(partial)
     partial.mkdir(parents=True)
     claims = analysis.seed_claims(study.per_image, study.scalars, reference)
     try:
@@ -158,7 +175,7 @@ def write_comparison(study: Study, title: str) -> list[str]:
     more = {"effects": judged.effects} if len(judged.effects) else {}
     for name, content in (tables | more).items():
         content.to_csv(partial / f"{name}.csv", index=False)
-    shutil.rmtree(folder, ignore_errors=True)
+    _remove(folder)
     partial.rename(folder)
     return [*notes, *analysis.cautions(study.per_image, reference, study.blocks)]
 

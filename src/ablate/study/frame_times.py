@@ -1,7 +1,7 @@
 """How long a frame takes with each network of a study: timed in turns in one process, kept machine by machine."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ from ablate.study.comparable import without_anatomy
 from ablate.study.provenance import hardware
 from ablate.study.run import Run
 from ablate.threads import torch_threads
-from ablate.training import TrainingPrecision, chosen_device, generated_images, load_generator
+from ablate.training import TrainingPrecision, chosen_device, generated_images, load_generator, read_checkpoint
 
 TIMES = "frame_times.csv"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
@@ -91,18 +91,20 @@ def untimed(runs: Sequence[Run]) -> list[str]:
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
 
 
-def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
+def time_networks(study_dir: Path, runs: Sequence[Run], custom: Sequence[str] = ()) -> str:
     """Time the networks of the runs, unless this machine has timed all of them before.
 
     Times of different moments do not compare well, so where one is missing all are measured again. Without a checkpoint
     a network is timed with the weights that it starts with, which takes as long; a custom one is not, because how long
-    it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
+    it takes may depend on them, and its code is run only if `custom` names it: the folder may be a stranger's. Returns
+    why nothing could be measured, a sentence, or an empty string.
     """
-    to_time = {
-        network_of(run.training.identity): run
-        for run in reversed(runs)
-        if run.training.checkpoint.is_file() or run.training.identity["model"].get("family") != Family.custom.value
-    }
+    to_time = {}
+    for run in reversed(runs):
+        model = run.training.identity["model"]
+        is_known = run.training.checkpoint.is_file() and model.get("target") in custom
+        if is_known or model.get("family") != Family.custom.value:
+            to_time[network_of(run.training.identity)] = run
     if not to_time:
         return ""
     try:
@@ -115,12 +117,26 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
             here = times["machine"] == machine
             if to_time.keys() <= set(times["network"][here]):
                 return ""
+            _check_code(to_time.values(), custom)
             measured = _in_turns(to_time, settings, device).assign(machine=machine)
-    except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, ImportError) as error:  # no pairs, no GPU, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
     with written_whole(study_dir / TIMES) as partial:
         pd.concat([times[~here], measured[list(_KEPT)]]).to_csv(partial, index=False)
     return ""
+
+
+def _check_code(runs: Iterable[Run], custom: Sequence[str]) -> None:
+    """Refuse settings and checkpoints that name other code than the command does, whatever their identities say."""
+    for run in runs:
+        targets = [run.training.settings.model.target]
+        if run.training.checkpoint.is_file():
+            targets.append(read_checkpoint(run.training.checkpoint)["hyper_parameters"]["spec"]["target"])
+        for target in targets:
+            if target is not None and target not in custom:
+                raise ValueError(
+                    f"{run.training.folder} names code, model.target={target!r:.200}, and the command does not"
+                )
 
 
 def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device) -> pd.DataFrame:

@@ -242,9 +242,11 @@ def claim(job: Job) -> Training:
     A checkpoint beside a file that is damaged may be of anything: a ConfigurationError.
     """
     study_dir = job.settings.study_dir
+    refuse_link(study_dir)
     study_dir.mkdir(parents=True, exist_ok=True)
     with FileLock(study_dir / ".claim.lock"):  # two labels of one training have one folder
         training = job.training
+        refuse_link(training.folder)
         if training.hash == job.hash:
             return training
         if training.checkpoint.exists():
@@ -262,6 +264,12 @@ def claim(job: Job) -> Training:
         }
         write_json(training.folder / ABOUT, about)
         return Training(training.folder)
+
+
+def refuse_link(folder: Path) -> None:
+    """Refuse to write in a folder of a study that is a link: whoever made the study would choose where to."""
+    if folder.is_symlink():
+        raise ConfigurationError(f"{folder} is a link to {folder.readlink()}: allowed are folders, name it by runs_dir")
 
 
 def trainings_in(study_dir: Path) -> list[Training]:

@@ -37,7 +37,7 @@ def study(jobs: Sequence[Job], launch: Launch) -> int:
             for group in _by_study(asked):
                 if any(job.finished for job in group):
                     listed = with_earlier(listed_runs(trainings_of(group)))
-                    _compare(listed, group[0].settings, time_here=not launch.elsewhere)
+                    _compare(listed, group, time_here=not launch.elsewhere)
     failed = [job.name for job in waiting if not job.finished]
     if failed:
         print(f"not finished: {', '.join(failed)}; the same command takes them up again", file=sys.stderr)
@@ -148,7 +148,7 @@ def compare(jobs: Sequence[Job]) -> int:
         asked = kept if len(jobs) == 1 and kept.runs else own
         if not asked.runs:
             raise ConfigurationError(_nothing_finished(settings, asked))
-        _compare(asked, settings, rebuild=True)
+        _compare(asked, group, rebuild=True)
     return 0
 
 
@@ -161,13 +161,15 @@ def _nothing_finished(settings: StudySettings, asked: RunList) -> str:
     return " ".join([*words, *earlier_layout(settings.study_dir)])
 
 
-def _compare(asked: RunList, settings: StudySettings, rebuild: bool = False, time_here: bool = True) -> None:
-    """Compare, publish and print."""
+def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_here: bool = True) -> None:
+    """Compare what the jobs of one study ask for, publish and print."""
     from ablate.publish import publish_study
     from ablate.study.compare import compare_study, on_screen
 
+    settings = jobs[0].settings
+    named = [job.settings.model.target for job in jobs if job.settings.model.target]
     before = read_list(asked.folder)
-    compared = compare_study(asked, settings.study, rebuild, time_here)
+    compared = compare_study(asked, settings.study, rebuild, time_here, custom=named)
     where = publish_study(settings, compared.study, compared.notes)
     print(f"{on_screen(compared)}\nMLflow         {where}")
     now = {run.training.folder for run in asked.runs}
