@@ -29,10 +29,10 @@ from ablate.metrics import metric_of
 from ablate.study.opened import ANSWER, found_study
 
 study = found_study(ANSWER, "make answer")
-answers = study.answers
-runs = answers.runs.groupby("data", sort=False).size()
-print(f"{study.folder.name}: {len(answers.runs)} runs; by data set: {runs.to_dict()}")
-print(caption("verdicts", reference=study.reference, design=answers.design))
+results = study.results
+runs = study.runs.groupby("data", sort=False).size()
+print(f"{study.folder.name}: {len(study.runs)} runs; by data set: {runs.to_dict()}")
+print(caption("verdicts", reference=study.reference, design=results.design))
 
 # %% [markdown]
 # ## The picture
@@ -41,9 +41,9 @@ print(caption("verdicts", reference=study.reference, design=answers.design))
 # one training.
 
 # %%
-of_study = answers.means, answers.design, answers.components
-tables = answers.verdicts, improvements(*of_study), interactions(*of_study)
-drawn = forest_figure(*tables, answers.components, Path(mkdtemp()) / "verdicts")
+of_study = results.means, results.design, results.components
+tables = results.verdicts, improvements(*of_study), interactions(*of_study)
+drawn = forest_figure(*tables, results.components, Path(mkdtemp()) / "verdicts")
 display(Image(drawn[0], width=900)) if drawn else print("No run goes without a component: there is nothing to judge.")
 
 # %% [markdown]
@@ -55,14 +55,14 @@ display(Image(drawn[0], width=900)) if drawn else print("No run goes without a c
 
 # %%
 columns = ["metric", "effect", "lower", "upper", "band", "runs_a", "runs_b", "p_holm", "p_band_holm", "verdict"]
-answers.verdicts.set_index("component")[columns].round(4)
+results.verdicts.set_index("component")[columns].round(4)
 
 # %% [markdown]
 # The same effects where all other components are on, as in SA2H. In a factorial their intervals are wider, because they
 # hold the interactions too. Where one component at a time is off, they are the effects above.
 
 # %%
-answers.verdicts.set_index("component")[["metric", "full_effect", "full_lower", "full_upper"]].round(4)
+results.verdicts.set_index("component")[["metric", "full_effect", "full_lower", "full_upper"]].round(4)
 
 # %% [markdown]
 # ## What depends on what
@@ -81,7 +81,7 @@ pairs[pairs["q"] < 0.05].set_index(["component", "other"]).round(4)
 # change from SA2H: what it does to a metric if the component is taken away.
 
 # %%
-effects = answers.effects
+effects = results.effects
 if len(effects):
     found = effects[effects["q"].astype(float) < 0.05].drop(columns=["p", "p_holm", "dof"])
     display(found.set_index(["metric", "effect"]).sort_values("q").round(4))
@@ -93,7 +93,7 @@ if len(effects):
 # small to matter; or if there are too few runs.
 
 # %%
-is_open = (answers.verdicts["verdict"] == "undecided") & answers.verdicts["metric"].notna()
-labels = {component.name: component.label for component in answers.components}
-for row in answers.verdicts[is_open].to_dict("records"):
+is_open = (results.verdicts["verdict"] == "undecided") & results.verdicts["metric"].notna()
+labels = {component.name: component.label for component in results.components}
+for row in results.verdicts[is_open].to_dict("records"):
     print(f"{labels[row['component']]} ({metric_of(row['metric']).label}): {row['why']}")

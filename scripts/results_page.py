@@ -72,7 +72,7 @@ def study_lines(folder: Path) -> Iterator[str]:
         study = ablate.open_study(folder)
     except FileNotFoundError as error:
         raise ValueError(str(error)) from error
-    runs, answers = study.usable.all, study.answers
+    runs, answers = study.usable.all, study.results
     preliminary, said = finished_of(folder.name, runs)
     yield f"## {folder.name}"
     yield said + (" **All verdicts are preliminary.**" if preliminary else "")
@@ -199,7 +199,7 @@ def distance_rows(table: pd.DataFrame) -> str:
 
 def figures(folder: Path, study: Study) -> list[Path]:
     """Draw the verdicts and the kept frame as PNG into the folder of the study; PDF is for `task=compare`."""
-    kept, answers = [], study.answers
+    kept, answers = [], study.results
     of_study = answers.means, answers.design, answers.components
     with TemporaryDirectory() as scratch:
         tables = answers.verdicts, improvements(*of_study), interactions(*of_study)

@@ -23,7 +23,7 @@ from ablate.study.opened import Study
 from ablate.study.provenance import package_digest
 from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON, Run, RunList, write_list
-from ablate.study.training import earlier_layout
+from ablate.study.training import earlier_layout, refuse_link
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,9 @@ def compare_study(
     Raises
     ------
     ConfigurationError
-        Where no run is finished.
+        Where no run is finished, or the folder is a link.
     """
+    refuse_link(asked.folder)
     usable = comparable_runs(asked)
     if not usable.runs:
         told = [f"{asked.folder} holds no finished run to compare.", *usable.notes, *earlier_layout(asked.folder)]
@@ -122,6 +123,13 @@ def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
     return notes if is_whole else None
 
 
+def _remove(folder: Path) -> None:
+    """Remove a folder, or a link that somebody has put in its place."""
+    if folder.is_symlink():
+        folder.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
 def write_comparison(study: Study, title: str) -> list[str]:
     """Write tables, figures and the report of a study; what was in its folder of comparison goes when all is written.
 
@@ -129,7 +137,7 @@ def write_comparison(study: Study, title: str) -> list[str]:
     """
     folder, usable = study.folder / COMPARISON, study.usable
     partial = folder.with_name(f"{folder.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
+    _remove(partial)
     partial.mkdir(parents=True)
     results, missing = _with_pictures(study)
     notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*results.table["metric"]} - {FRAME_TIME})]
@@ -156,7 +164,7 @@ def write_comparison(study: Study, title: str) -> list[str]:
         if name != "effects" or len(table):
             table.to_csv(partial / f"{name}.csv", index=False)
     write_list(partial, study.listed)
-    shutil.rmtree(folder, ignore_errors=True)
+    _remove(folder)
     partial.rename(folder)
     return [*notes, *analysis.cautions(results.per_image, results.reference, results.blocks)]
 

@@ -15,6 +15,7 @@ from ablate.dataset import Part, equally_spaced
 from ablate.evaluation import time_in_turns
 from ablate.metrics.metric import BOUNDS, FRAME_TIME
 from ablate.networks import Family, Generator, Space, conditions
+from ablate.setting import shown
 from ablate.settings.study import StudySettings
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
@@ -114,7 +115,14 @@ def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] =
             if to_time.keys() <= set(times["network"][here]):
                 return ""
             measured = _in_turns(to_time, device).assign(machine=machine)
-    except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RuntimeError,
+        ImportError,
+    ) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
     with written_whole(study_dir / TIMES) as partial:
         pd.concat([times[~here], measured[list(_KEPT)]]).to_csv(partial, index=False)
@@ -177,6 +185,8 @@ def _prepared(run: Run, data: DataSet, device: torch.device) -> _Network:
     values = dataset.label_values(data.tissues, settings.encoding, settings.label_seed)
     if training.checkpoint.is_file():
         generator = load_generator(training.checkpoint, run.identity["model"].get("target"))
+    elif settings.model.target is not None:
+        raise ValueError(f"{training.folder} names code, model.target={shown(settings.model.target)}")
     else:  # the weights that a training starts with
         generator = Generator(settings.model, values.shape[1]).eval()
     precision = TrainingPrecision[run.identity["training"]["precision"]]

@@ -156,6 +156,8 @@ def _listed_run(study_dir: Path, entry: Mapping[str, Any]) -> Run:
     for name in (folder, *names):
         if not names or Path(name).name != name:
             raise ValueError(f"{name} is no name of a file")
+    if (study_dir / folder).is_symlink():
+        raise ValueError(f"{folder} is a link")
     return Run(Training(study_dir / folder), label, dict(entry["changed"]), names)
 
 

@@ -237,9 +237,11 @@ def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
 
     A checkpoint beside a file that is damaged may be of anything: a ConfigurationError.
     """
+    refuse_link(study_dir)
     study_dir.mkdir(parents=True, exist_ok=True)
     with FileLock(study_dir / ".claim.lock"):  # two labels of one training have one folder
         training = training_at(study_dir, about["label"], about["seed"], about["hash"])
+        refuse_link(training.folder)
         if training.hash == about["hash"]:
             return training
         if training.checkpoint.exists():
@@ -248,6 +250,12 @@ def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
         training.folder.mkdir(exist_ok=True)
         write_json(training.folder / ABOUT, about)
         return Training(training.folder)
+
+
+def refuse_link(folder: Path) -> None:
+    """Refuse to write in a folder of a study that is a link: whoever made the study would choose where to."""
+    if folder.is_symlink():
+        raise ConfigurationError(f"{folder} is a link to {folder.readlink()}: allowed are folders, name it by runs_dir")
 
 
 def trainings_in(study_dir: Path) -> list[Training]:

@@ -174,9 +174,9 @@ def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_he
     from ablate.publish import publish_study
     from ablate.study.compare import compare_study, on_screen
 
-    before = read_list(asked.folder)
     settings = jobs[0].settings
-    named = {job.settings.model.target for job in jobs if job.settings.model.target}
+    named = [job.settings.model.target for job in jobs if job.settings.model.target]
+    before = read_list(asked.folder)
     compared = compare_study(asked, settings.study, rebuild, time_here, named)
     where = publish_study(settings, compared.study, compared.notes)
     print(f"{on_screen(compared)}\nMLflow         {where}")
