@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from ablate.command.compose import jobs_of
-from ablate.study.job import Job
+from ablate.study.job import Job, claim
 from ablate.tasks.plan import progress, show_progress
 from support.finished_runs import PARAMETERS
 from support.finished_runs import finish as write_finished
@@ -33,7 +33,7 @@ def test_time_is_the_median_of_the_label_or_of_the_study(jobs: list[Job]) -> Non
     finish(sa2h[1], 140.0)
     finish(nsa2h[0], 30.0)
     finish(nsa2h[1], None)  # resumed: it tells no time
-    sa2h[2].folder.mkdir()
+    claim(sa2h[2])
     torch.save({"steps_done": 75}, sa2h[2].folder / "last.ckpt")
     table = progress(jobs).set_index("job")
     assert table.loc["sa2h/seed2", ["state", "done", "seconds"]].tolist() == ["resumable", 0.75, 0.25 * 120]
@@ -43,7 +43,7 @@ def test_time_is_the_median_of_the_label_or_of_the_study(jobs: list[Job]) -> Non
 
 
 def test_a_damaged_checkpoint_is_named_and_stops_nothing(jobs: list[Job], capsys: pytest.CaptureFixture[str]) -> None:
-    jobs[0].folder.mkdir(parents=True)
+    claim(jobs[0])
     (jobs[0].folder / "last.ckpt").write_bytes(b"nothing")
     assert show_progress(jobs) == 0
     printed = capsys.readouterr()

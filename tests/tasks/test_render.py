@@ -98,7 +98,7 @@ def test_several_poses_are_a_cine(arguments: list[str], tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (["plane=head"], "plane=head: planes are those of scene=fetal; allowed are pose and frame"),
+        (["plane=head"], "plane=head: scene=folder has no planes; allowed are pose and frame"),
         (["plane=hed", "scene=fetal"], "plane=hed: allowed are head, abdomen"),
         (["plane=head", "pose=p.npy"], "pose=p.npy, plane=head: allowed is one of them, with task=render"),
         (["pose=p.npy", "task=preview"], "pose=p.npy, plane=None: allowed is one of them, with task=render"),

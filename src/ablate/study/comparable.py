@@ -21,6 +21,12 @@ _VERSIONS = {
     "training_version": ("training", TRAINING_VERSION),
 }
 _TOLD_BY_VARIANTS = ("training.loss", "training.discriminator_width")
+#: What a file of conf/ decides whose name a label tells.
+_OF_GROUPS = {
+    "probe": ("probe.", "simulator.", "dataset."),
+    "scene": ("scene.", "simulator.", "dataset."),
+    "preset": ("",),
+}
 
 
 @dataclass(frozen=True)
@@ -113,10 +119,11 @@ def untold_differences(jobs: Sequence[Job | Run], reference: str) -> list[str]:
     """
     declared = {component.key for component in components()}
     swept = {key for job in jobs for key in dict(job.changed)}
+    told = ("model.", *(start for group in swept & _OF_GROUPS.keys() for start in _OF_GROUPS[group]))
     levels = {job.label: levels_of(job.identity) for job in jobs}
     notes = []
     for key in sorted({key for level in levels.values() for key in level}):
-        if key.startswith("model.") or key in declared or key in _TOLD_BY_VARIANTS:
+        if key.startswith(told) or key in declared or key in _TOLD_BY_VARIANTS:
             continue
         silent = {job.label for job in jobs if key not in dict(job.changed)}
         value_of = {label: level[key] for label, level in levels.items() if key in level and label in silent}
