@@ -23,7 +23,7 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 WHICH_STUDY = """
 import json
 
-_made = study.usable.runs[0].spec["semantic"]
+_made = study.usable.runs[0].identity
 _about = {"study": study.folder.name, "simulator_version": _made["data"].get("simulator_version")}
 print(json.dumps(_about | {"training_version": _made["training_version"]}))
 """

@@ -130,12 +130,12 @@ def record(folder: Path, code: Path) -> None:
     print("runs ...", flush=True)
     must("-m", "ablate", "-m", f"variant={VARIANTS}", "runs_dir=runs", "study_name=tiny", *TINY)
     weights = {}
-    for checkpoint in sorted((folder / "runs" / "tiny").glob("*/seed*/*.ckpt")):
-        weights[checkpoint.parent.parent.name] = must(
+    for checkpoint in sorted((folder / "runs" / "tiny").glob("*/last.ckpt")):
+        weights[checkpoint.parent.name.partition("-seed")[0]] = must(
             str(Path(__file__).resolve()), "weights", str(checkpoint)
         ).splitlines()
     (folder / "weights.json").write_text(json.dumps(weights, indent=1))
-    for kept in sorted({path.parents[2] for path in code.glob("docs/results/*/*/seed*/result.json")}):
+    for kept in sorted({path.parents[1] for path in code.glob("docs/results/*/comparison/jobs.json")}):
         print(f"comparison of the kept study {kept.name} ...", flush=True)
         shutil.copytree(kept, folder / "runs" / kept.name)
         done = run("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
@@ -253,7 +253,7 @@ def compare(before: Path, after: Path) -> int:
         name = path.relative_to(before)
         if "artifacts" in name.parts:
             continue  # copies, in folders that are named at random
-        if path.suffix in (".csv", ".parquet") or path.name == "result.json":
+        if path.suffix in (".csv", ".parquet") or path.name == "trained.json":
             other = after / name
             if not other.exists():
                 rows.append((str(name), "missing"))

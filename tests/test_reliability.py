@@ -1,7 +1,6 @@
 """The campaign of benchmarks/chaos.py: what judges a study, how it is counted, and a short one."""
 
 import importlib
-import json
 import os
 import random
 import shutil
@@ -13,6 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 
+import pandas as pd
 import pytest
 
 from support.studies import TinyStudy
@@ -31,14 +31,20 @@ def execute(runs: Path, statement: str) -> None:
         assert connection.execute(statement).rowcount > 0
 
 
-def result_of(runs: Path) -> Path:
-    return runs / "tiny-fetal" / "sa2h" / "seed0" / "result.json"
+def folder_in(runs: Path) -> Path:
+    """The training of SA2H."""
+    (folder,) = (runs / "tiny-fetal").glob("sa2h-seed0-*")
+    return folder
+
+
+def mae_of(runs: Path) -> Path:
+    (score,) = folder_in(runs).glob("scores/mae@*.parquet")
+    return score
 
 
 def score_changed(runs: Path) -> None:
-    result = json.loads(result_of(runs).read_text())
-    result["scalars"]["test/psnr"] += 1e-12
-    result_of(runs).write_text(json.dumps(result))
+    table = pd.read_parquet(mae_of(runs))
+    table.assign(value=table["value"] + 1e-12).to_parquet(mae_of(runs))
 
 
 def value_logged_again(runs: Path) -> None:
@@ -50,16 +56,17 @@ def value_logged_again(runs: Path) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a lost result": (lambda runs: result_of(runs).unlink(), "sa2h/seed0/result.json: missing, added or another"),
+    "a lost result": (
+        lambda runs: (folder_in(runs) / "trained.json").unlink(),
+        "trained.json: missing, added or another",
+    ),
     "an empty result": (
-        lambda runs: result_of(runs).write_text(""),
-        "sa2h/seed0/result.json: missing, added or another",
+        lambda runs: (folder_in(runs) / "trained.json").write_text(""),
+        "trained.json: missing, added or another",
     ),
-    "another score": (score_changed, "sa2h/seed0/result.json: missing, added or another"),
-    "lost frames": (
-        lambda runs: result_of(runs).with_name("per_image.parquet").write_bytes(b"PAR1"),
-        "per_image.parquet",
-    ),
+    "another score": (score_changed, "parquet: missing, added or another"),
+    "a lost score": (lambda runs: mae_of(runs).unlink(), "parquet: missing, added or another"),
+    "lost frames": (lambda runs: mae_of(runs).write_bytes(b"PAR1"), "parquet"),
     "a value twice": (value_logged_again, "1 values are there twice"),
     "a lost value": (
         lambda runs: execute(runs, "DELETE FROM metrics WHERE key = 'test/mae'"),
