@@ -16,8 +16,9 @@ from ablate.command.compose import jobs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, read_json, write_json
+from ablate.study.job import claim
 from ablate.study.run import COMPARISON, LIST, Run, listed_runs, read_list, write_list
-from ablate.study.training import ABOUT, Training, claim
+from ablate.study.training import ABOUT, Training
 from ablate.training import load_generator
 from support.finished_runs import finish
 from support.studies import run

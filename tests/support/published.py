@@ -16,10 +16,10 @@ from mlflow.tracking._tracking_service import utils
 from ablate.command.compose import jobs_of
 from ablate.publish import default_uri
 from ablate.storage import write_json
-from ablate.study.job import Job
+from ablate.study.job import Job, claim
 from ablate.study.log import LocalLog, Status
 from ablate.study.scores import Score, write_score
-from ablate.study.training import Training, claim
+from ablate.study.training import Training
 
 PIXELS = "0123456789abcdef"
 _OF_THE_MOMENT = ("mlflow.parentRunId", "mlflow.note.content", "mlflow.user", "published")
