@@ -19,7 +19,7 @@ from mlflow.exceptions import MlflowException
 
 from ablate.publish import default_uri
 from ablate.publish import store as store_module
-from ablate.publish.store import Store, open_store, plain_files, reason
+from ablate.publish.store import Store, open_store, reason
 from ablate.publish.study_view import study_run
 from ablate.settings.study import StudySettings
 from support.published import client_of
@@ -43,19 +43,12 @@ def study_in(runs: Path, uri: str | None = None, experiment: str = "ablate", stu
 def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
     assert opened(runs) == opened(runs)
     assert study_in(runs) == study_in(runs)
-    assert study_in(runs) != study_in(runs, study="other")
+    assert len({study_in(runs), study_in(runs, study="other"), study_in(runs, experiment="mine")}) == 3
     run = client_of(runs).get_run(study_in(runs))
     assert run.info.artifact_uri == (runs / "artifacts" / run.info.run_id / "artifacts").as_uri()
     experiment = client_of(runs).get_experiment_by_name("ablate")
     assert experiment is not None
     assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
-
-
-def test_another_experiment_has_runs_of_its_own(runs: Path) -> None:
-    for name in ("ablate", "mine"):
-        made = study_in(runs, experiment=name)
-        store = opened(runs, experiment=name)
-        assert [run.info.run_id for run in store.client.search_runs([store.experiment_id])] == [made]
 
 
 def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path: Path) -> None:
@@ -64,24 +57,6 @@ def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path
     assert studies[0] != studies[1]
     (tmp_path / "anna").rename(tmp_path / "moved")
     assert study_in(tmp_path / "moved", uri) == studies[0]
-
-
-def test_values_with_quotes_are_found(runs: Path) -> None:
-    store = opened(runs)
-    for value in ("it's", 'so "called"', "a`b"):
-        made = store.create("run", "job", {"study": value})
-        found = store.find("job", {"study": value})
-        assert found is not None
-        assert found.info.run_id == made.info.run_id
-
-
-def test_what_was_discarded_stays_deleted_when_its_experiment_is_restored(runs: Path) -> None:
-    store = opened(runs)
-    kept = store.create("a", "job", {"config_hash": "abc"})
-    store.discard(store.create("b", "job", {"config_hash": "abc"}))
-    store.client.delete_experiment(store.experiment_id)
-    assert opened(runs) == store
-    assert [run.info.run_id for run in store.client.search_runs([store.experiment_id])] == [kept.info.run_id]
 
 
 def test_an_experiment_that_somebody_else_makes_in_the_same_moment_is_used(
@@ -101,14 +76,6 @@ def test_values_that_no_page_can_show_are_left_out_and_many_arrive_once(runs: Pa
     store.log_metrics(run_id, [Metric("nan", math.nan, 1, 0), Metric("inf", math.inf, 1, 0), Metric("v1", 1.0, 1, 0)])
     assert client_of(runs).get_run(run_id).data.metrics == values
     assert len(client_of(runs).get_metric_history(run_id, "v1")) == 1
-
-
-def test_plain_files_are_no_links_and_no_folders(tmp_path: Path) -> None:
-    for name in ("b.csv", "a.pdf"):
-        (tmp_path / name).write_text(name)
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "link.csv").symlink_to(tmp_path / "b.csv")
-    assert [path.name for path in plain_files(tmp_path.iterdir())] == ["a.pdf", "b.csv"]
 
 
 def test_a_reason_is_what_was_raised_in_one_line() -> None:
@@ -187,17 +154,7 @@ def with_artifacts_elsewhere(runs: Path) -> None:
     changed(runs / "mlflow.db", "UPDATE experiments SET artifact_location = ?", (runs.parent / "elsewhere").as_uri())
 
 
-def a_link_to_one_of_another_folder(runs: Path) -> None:
-    other = runs.parent / "elsewhere"
-    other.mkdir()
-    with_artifacts_elsewhere(runs)
-    (runs / "mlflow.db").rename(other / "mlflow.db")
-    (runs / "mlflow.db").symlink_to(other / "mlflow.db")
-
-
-@pytest.mark.parametrize(
-    "damage", [of_another_schema, overwritten, half_made, with_artifacts_elsewhere, a_link_to_one_of_another_folder]
-)
+@pytest.mark.parametrize("damage", [of_another_schema, overwritten, half_made, with_artifacts_elsewhere])
 def test_a_database_that_cannot_be_used_is_kept_aside(
     runs: Path,
     empty_database: Path,
@@ -217,18 +174,7 @@ def test_a_database_that_cannot_be_used_is_kept_aside(
     assert aside.read_bytes() == before
     assert str(aside.with_suffix("")) in caplog.text
     assert aside.with_suffix(".artifacts").is_dir()  # what the old database names lies in a folder of its own
-    assert not list(runs.parent.glob("elsewhere/*/**"))
-
-
-@pytest.mark.parametrize("place", ["elsewhere", "runs/artifacts-2/{id}/artifacts", "runs/artifacts/../../elsewhere"])
-def test_a_run_whose_artifacts_lie_elsewhere_is_not_written_to(runs: Path, place: str) -> None:
-    """As in a folder of runs from a stranger, who knows where this one lies."""
-    strange = study_in(runs)
-    uri = f"{runs.parent.as_uri()}/{place.format(id=strange)}"
-    changed(runs / "mlflow.db", "UPDATE runs SET artifact_uri = ?", uri)
-    made = study_in(runs)
-    assert made != strange
-    assert study_in(runs) == made, "it is found again beside the strange one"
+    assert not (runs.parent / "elsewhere").exists()
 
 
 def test_the_journal_of_a_removed_database_is_not_applied_to_the_new_one(runs: Path) -> None:

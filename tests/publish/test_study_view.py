@@ -5,7 +5,8 @@ import shutil
 import sqlite3
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,9 @@ def publish(jobs: Sequence[Job]) -> str:
     """Compare jobs and publish that; returns what the terminal says of it."""
     another_process()
     of_jobs = compared(jobs)
+    link = of_jobs.study.folder / "comparison" / "linked.csv"
+    with suppress(FileExistsError):
+        link.symlink_to(jobs[0].folder / "training.json")  # of a stranger: it is not followed
     return publish_study(jobs[0].settings, of_jobs.study, of_jobs.notes)
 
 
@@ -62,7 +66,7 @@ def test_the_run_of_a_study_has_the_files_of_its_comparison_and_how_it_was_made(
     jobs = finished(runs)
     assert "Note" not in publish(jobs)
     run = study_in(runs)
-    on_disk = {path.name for path in (runs / "study" / "comparison").iterdir()}
+    on_disk = {path.name for path in (runs / "study" / "comparison").iterdir()} - {"linked.csv"}
     assert {"report.html", "table.csv", "table.tex", "verdicts.csv", "paired.csv"} < on_disk
     assert files_of(runs, run).keys() == on_disk
     means = {f"test/psnr/{name}": mean for name, mean in (("sa2h", 21.0), ("sa2h-att", 22.0), ("re-simulation", 21.0))}
@@ -110,8 +114,8 @@ def test_a_comparison_that_was_published_in_part_is_whole_in_the_end(
     assert "mlflow.note.content" in study_in(runs).data.tags
 
 
-def deleted_study(runs: Path) -> None:
-    client_of(runs).delete_run(study_in(runs).info.run_id)
+def deleted(runs: Path, name: str) -> None:
+    client_of(runs).delete_run(active_runs(runs)[name].info.run_id)
 
 
 def deleted_experiment(runs: Path) -> None:
@@ -123,7 +127,10 @@ def removed_files(runs: Path) -> None:
     shutil.rmtree(runs / "artifacts")
 
 
-@pytest.mark.parametrize("lost", [deleted_study, deleted_experiment, removed_files])
+LOST = [partial(deleted, name="study"), partial(deleted, name="sa2h/seed0"), deleted_experiment, removed_files]
+
+
+@pytest.mark.parametrize("lost", LOST, ids=["study", "training", "experiment", "files"])
 def test_what_is_lost_in_mlflow_is_made_again_from_disk(runs: Path, lost: Callable[[Path], None]) -> None:
     jobs = finished(runs)
     publish(jobs[:1])
@@ -140,58 +147,45 @@ def test_a_copy_of_a_folder_of_runs_is_published_there_and_leaves_the_original_a
     publish(finished(runs))
     shown, before = content_of(runs), written(runs)
     copy = tmp_path / "copy"
-    shutil.copytree(runs, copy)
+    shutil.copytree(runs, copy, symlinks=True)
     assert "Note" not in publish([job_in(copy, variant) for variant in VARIANTS])
     assert content_of(copy) == shown
     assert written(runs) == before
 
 
-def test_a_stranger_cannot_have_anything_written_elsewhere(runs: Path, tmp_path: Path) -> None:
-    jobs = finished(runs)
+@pytest.mark.parametrize("place", ["elsewhere", "runs/artifacts-2/{id}/artifacts", "runs/artifacts/../../elsewhere"])
+def test_artifacts_of_a_run_that_lie_elsewhere_are_not_written_to(runs: Path, place: str) -> None:
+    """As in a folder of runs from a stranger, who knows where this one lies."""
+    jobs = finished(runs, VARIANTS[:1])
     publish(jobs)
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
     with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
-        connection.execute("UPDATE runs SET artifact_uri = ?", (elsewhere.as_uri(),))
         connection.execute("UPDATE tags SET value = 'other' WHERE key = 'published'")
-    another_process()
-    of_jobs = compared(jobs)
-    assert "Note" not in publish_study(jobs[0].settings, of_jobs.study, of_jobs.notes)
-    assert not list(elsewhere.iterdir())
-    assert len(list((runs / "artifacts").glob("*/artifacts/report.html"))) == 2
+        for (run_id,) in connection.execute("SELECT run_uuid FROM runs").fetchall():
+            uri = f"{runs.parent.as_uri()}/{place.format(id=run_id)}"
+            connection.execute("UPDATE runs SET artifact_uri = ? WHERE run_uuid = ?", (uri, run_id))
+    assert "Note" not in publish(jobs)
+    assert "Note" not in publish(jobs)
+    assert len(list(runs.rglob("artifacts/*/artifacts/report.html"))) == 2, "the strange one's and another one"
+    assert not [path for name in ("elsewhere", "runs/artifacts-2") for path in runs.parent.glob(name)]
 
 
-def test_a_link_in_the_folder_of_a_comparison_is_not_followed(runs: Path, tmp_path: Path) -> None:
+def test_a_store_that_is_gone_or_slow_is_named_and_not_waited_for_and_has_all_later(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     jobs = finished(runs)
-    (tmp_path / "secret").write_text("canary")
-    (compared(jobs).study.folder / "comparison" / "notes.csv").symlink_to(tmp_path / "secret")
-    publish(jobs)
-    assert "notes.csv" not in files_of(runs, study_in(runs))
-
-
-def test_a_store_that_answers_too_slowly_is_not_waited_for(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs = finished(runs)
-    monkeypatch.setattr(study_view, "_WAIT_S", 0.2)
-    monkeypatch.setattr(study_view, "_MARK_S", 0.2)
-    monkeypatch.setattr(study_view, "open_store", lambda _: time.sleep(60))
-    started = time.monotonic()
-    mark_study(jobs[0].settings, Status.running)
-    assert "Note: not all is in MLflow yet (TimeoutError: no end after 0.2 s)" in publish(jobs)
-    assert time.monotonic() - started < 50
-
-
-def test_a_server_that_is_gone_is_named_and_all_is_published_later(runs: Path) -> None:
-    finished(runs)
-    gone = [job_in(runs, variant, uri="http://127.0.0.1:9") for variant in VARIANTS]
-    where = publish(gone)
+    where = publish([job_in(runs, variant, uri="http://127.0.0.1:9") for variant in VARIANTS])
     assert where.startswith("http://127.0.0.1:9\nNote: not all is in MLflow yet (")
+    with monkeypatch.context() as patch:
+        patch.setattr(study_view, "_WAIT_S", 0.2)
+        patch.setattr(study_view, "_MARK_S", 0.2)
+        patch.setattr(study_view, "open_store", lambda _: time.sleep(60))
+        started = time.monotonic()
+        mark_study(jobs[0].settings, Status.running)
+        assert "Note: not all is in MLflow yet (TimeoutError: no end after 0.2 s)" in publish(jobs)
+        assert time.monotonic() - started < 50
     assert not active_runs(runs)
-    assert "Note" not in publish([job_in(runs, variant) for variant in VARIANTS])
-    assert active_runs(runs).keys() == {"study", "sa2h/seed0", "sa2h-att/seed0"}
-
-
-def test_how_a_study_stands_is_shown_before_any_training_begins(runs: Path) -> None:
-    settings = job_in(runs).settings
     for status in (Status.running, Status.failed):
-        mark_study(settings, status)
+        mark_study(jobs[0].settings, status)
         assert study_in(runs).info.status == status
+    assert "Note" not in publish(jobs)
+    assert active_runs(runs).keys() == {"study", "sa2h/seed0", "sa2h-att/seed0"}

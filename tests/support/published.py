@@ -1,7 +1,8 @@
 """Trainings as they lie on disk, made without a network, and all that MLflow shows of a run."""
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -39,11 +40,16 @@ def job_in(runs: Path, variant: str = "sa2h", uri: str | None = None, metrics: S
 
 
 def train(job: Job, steps: range, ended: Status | None, anew: bool = False) -> Training:
-    """Log some steps, each with a point and an image, and how they ended; None is a process that is still there."""
+    """Log some steps, each with a point and an image, and how they ended; None is a process that is still there.
+
+    Among its files is a link, as in a folder of runs from a stranger; it is not to be followed.
+    """
     training = claim(job)
     log = LocalLog(training.folder, anew)
     training.provenance.mkdir(exist_ok=True)
     write_json(training.provenance / "made_with.json", {"git_commit": "abc", "hardware": "a laptop"})
+    with suppress(FileExistsError):
+        (training.provenance / "linked.txt").symlink_to(training.folder / "training.json")
     log.status(Status.running)
     for step in steps:
         log.metrics({"train/l1": 1 / (step + 1)}, step)
@@ -107,7 +113,7 @@ def active_runs(runs: Path, experiment: str = "ablate") -> dict[str, Run]:
     return dict(zip(names, shown, strict=True))
 
 
-def content_of(runs: Path, without: Collection[str] = ()) -> dict[str, Any]:
+def content_of(runs: Path) -> dict[str, Any]:
     """All that a default store shows of its runs, without what is of the moment: ids, and when something was copied."""
     client, shown = client_of(runs), active_runs(runs)
     ids = {run.info.run_id: name for name, run in shown.items()}
@@ -121,7 +127,7 @@ def content_of(runs: Path, without: Collection[str] = ()) -> dict[str, Any]:
             "tags": {key: value for key, value in run.data.tags.items() if key not in _OF_THE_MOMENT},
             "parent": ids.get(run.data.tags.get("mlflow.parentRunId", ""), "none"),
             "data": [given.dataset.digest for given in run.inputs.dataset_inputs],
-            "files": {path: hash_ for path, hash_ in files_of(runs, run).items() if path not in without},
+            "files": files_of(runs, run),
         }
     return content
 
