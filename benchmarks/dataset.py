@@ -16,18 +16,18 @@ from statistics import median
 
 import numpy as np
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.runs.data_set import DataSet, maps_needed
-from ablate.runs.job import Job
-from ablate.runs.prepare import prepare_data, simulator_of
-from ablate.runs.simulated import build_scene
-from ablate.tracking import hardware
 from numcodecs import Blosc, Zstd
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
 from ablate.dataset.encoding import decode_attenuation, encode_attenuation
 from ablate.dataset.pairs import FORMATS
 from ablate.settings.study import DatasetSettings
+from ablate.sources.data_set import DataSet, maps_needed
+from ablate.sources.prepare import prepare_data, simulator_of
+from ablate.sources.source import source_of
+from ablate.study.job import Job
+from ablate.study.provenance import hardware
 from ablate.ultrasound import Simulator
 from yardstick import Yardstick
 
@@ -68,7 +68,7 @@ def simulated(job: Job) -> DataSet:
     """Simulate the frames and print what they cost."""
     started = time.time()
     maps = maps_needed([job.settings.model])
-    data = prepare_data(job, maps)
+    data = prepare_data(job.settings, job.data, job.identity["data"], maps)
     pairs = data.pairs
     done = np.zeros(pairs.shards)
     size = dict.fromkeys(sorted(maps), 0)
@@ -102,8 +102,8 @@ def simulated(job: Job) -> DataSet:
 
 def codecs(job: Job, pairs: Pairs) -> None:
     """Print size and time of the codecs tried on each kind of map."""
-    scene, grid = build_scene(job.settings)
-    chosen_settings = simulator_of(job, scene, grid, pairs.poses)
+    scene, grid = source_of(job.settings).scene()
+    chosen_settings = simulator_of(job.settings, job.data, scene, grid, pairs.poses)
     simulator = Simulator(scene, job.settings.probe, chosen_settings, poses=pairs.poses)
     chosen = np.linspace(0, len(pairs) - 1, CODEC_FRAMES).round().astype(int)
     exact = [simulator.beam_maps(pairs.poses[i], False).attenuation for i in chosen]

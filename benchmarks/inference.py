@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.tracking import hardware
 
 from ablate.anatomy import load_tissues
+from ablate.command.compose import jobs_of
 from ablate.dataset import label_values
 from ablate.dataset.encoding import HALF_RANGE
 from ablate.networks import Generator, GeneratorSpec, conditions, count_generator, export_onnx
+from ablate.study.provenance import hardware
 from ablate.training import (
     Engine,
     TrainingPrecision,

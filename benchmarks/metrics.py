@@ -16,17 +16,17 @@ from statistics import median
 
 import numpy as np
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed
-from ablate.runs.prepare import prepare_data
-from ablate.tracking import hardware
 
 from ablate.anatomy import TissueKind
+from ablate.command.compose import jobs_of
 from ablate.dataset import Pairs, Part
 from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
 from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
 from ablate.networks import Space
+from ablate.sources.data_set import DataSet as Data
+from ablate.sources.data_set import maps_needed
+from ablate.sources.prepare import prepare_data
+from ablate.study.provenance import hardware
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 from yardstick import Yardstick
@@ -51,7 +51,7 @@ def simulated(folder: str) -> Data:
     """Frames of the paper's size, some of them unseen."""
     size = [f"dataset.frames={SIMULATED}", "dataset.split=frame", "dataset.validation=0.1", "dataset.test=0.4"]
     (job,) = jobs_of(["preset=paper", f"runs_dir={folder}", *size, "scene.triangles=60000"])
-    return prepare_data(job, maps_needed([job.settings.model]))
+    return prepare_data(job.settings, job.data, job.identity["data"], maps_needed([job.settings.model]))
 
 
 def milliseconds(call: Callable[[], object]) -> float:

@@ -26,11 +26,11 @@ from statistics import median
 import numpy as np
 import torch
 import trimesh
-from ablate.tracking import hardware
 from torch import Tensor
 
 from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.study.provenance import hardware
 from ablate.training import Engine, TrainingPrecision, TrainingSettings, chosen_device, open_engine, train
 from ablate.ultrasound import Simulator, SimulatorSettings
 from yardstick import Yardstick, milliseconds

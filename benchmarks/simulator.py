@@ -22,10 +22,10 @@ import numpy as np
 import torch
 import trimesh
 import yaml
-from ablate.tracking import hardware
 
 from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_sites, load_scene, load_sites, load_tissues
 from ablate.dataset import probe_poses
+from ablate.study.provenance import hardware
 from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 from turns import HERE, Case, in_turns

@@ -29,13 +29,13 @@ from subprocess import PIPE
 
 import numpy as np
 import torch
-from ablate.jobs.compose import jobs_of
-from ablate.tracking import hardware
 from torch import Tensor
 
+from ablate.command.compose import jobs_of
 from ablate.dataset import CropLoader, Crops, CropSettings, create_pairs, fill_pairs, open_pairs
 from ablate.networks import conditions, draws_noise
 from ablate.settings.study import StudySettings
+from ablate.study.provenance import hardware
 from ablate.training import Reconstruction, TrainingPrecision, chosen_device, chosen_precision, train
 from plain_training import PlainGAN
 from training_parts import COMPILED, PARTS, TRIED

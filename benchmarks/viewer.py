@@ -19,8 +19,8 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from ablate.jobs.compose import jobs_of
 
+from ablate.command.compose import jobs_of
 from support.viewer_client import Client
 from yardstick import Yardstick
 

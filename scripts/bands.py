@@ -10,12 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from ablate.jobs.compose import jobs_of
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 
 from ablate.anatomy import TissueKind, fetal_abdomen, fetal_planes
+from ablate.command.compose import jobs_of
 from ablate.evaluation.scorer import tissue_labels
 from ablate.metrics import METRICS, Metric, Pair
 from ablate.metrics.structures import relative_attenuation, surface_band

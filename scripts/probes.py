@@ -7,11 +7,11 @@ python scripts/probes.py
 
 from pathlib import Path
 
-from ablate.jobs.compose import jobs_of
 from matplotlib.figure import Figure
 
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import fetal_abdomen, fetal_planes
+from ablate.command.compose import jobs_of
 from ablate.ultrasound import Simulator, with_patient_gain
 from ablate.ultrasound.probe import fan_of
 
