@@ -20,7 +20,7 @@ def shares(study: "ablate.study.opened.Study") -> pd.DataFrame:
     """A row a run: its scores on validation sites over those of re-simulation, FD speckle, and minutes of training."""
     rows = {}
     for run in study.usable.runs:
-        scalars = run.result["scalars"]
+        scalars = run.scalars
         row = {metric_of(name).label: scalars[f"val/{name}"] / scalars[f"val/floor_{name}"] for name in SHOWN}
         row["FD speckle"] = scalars["val/fd_speckle"]
         rows[run.name] = row | {"minutes": scalars.get("train/seconds", math.nan) / 60}  # of a run without a break

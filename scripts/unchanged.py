@@ -16,10 +16,12 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = "sa2h,sa2h-att,sa2h-conv,nsa2h"
@@ -130,12 +132,11 @@ def record(folder: Path, code: Path) -> None:
     print("runs ...", flush=True)
     must("-m", "ablate", "-m", f"variant={VARIANTS}", "runs_dir=runs", "study_name=tiny", *TINY)
     weights = {}
-    for checkpoint in sorted((folder / "runs" / "tiny").glob("*/last.ckpt")):
-        weights[checkpoint.parent.name.partition("-seed")[0]] = must(
-            str(Path(__file__).resolve()), "weights", str(checkpoint)
-        ).splitlines()
+    for checkpoint in sorted((folder / "runs" / "tiny").rglob("last.ckpt")):
+        label = _label(checkpoint.parent.relative_to(folder / "runs" / "tiny"))
+        weights[label] = must(str(Path(__file__).resolve()), "weights", str(checkpoint)).splitlines()
     (folder / "weights.json").write_text(json.dumps(weights, indent=1))
-    for kept in sorted({path.parents[1] for path in code.glob("docs/results/*/comparison/jobs.json")}):
+    for kept in sorted(path for path in (code / "docs" / "results").iterdir() if path.is_dir()):
         print(f"comparison of the kept study {kept.name} ...", flush=True)
         shutil.copytree(kept, folder / "runs" / kept.name)
         done = run("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
@@ -253,18 +254,21 @@ def compare(before: Path, after: Path) -> int:
         name = path.relative_to(before)
         if "artifacts" in name.parts:
             continue  # copies, in folders that are named at random
-        if path.suffix in (".csv", ".parquet") or path.name == "trained.json":
+        if path.suffix == ".csv":
             other = after / name
-            if not other.exists():
-                rows.append((str(name), "missing"))
-            elif path.suffix == ".json":
-                rows.append((str(name), _scalars(json.loads(path.read_text()), json.loads(other.read_text()))))
-            else:
-                rows.append((str(name), _tables(_read(path), _read(other))))
+            rows.append((str(name), _tables(pd.read_csv(path), pd.read_csv(other)) if other.exists() else "missing"))
         elif path.suffix in (".tex", ".md"):
             other = after / name
             same = other.exists() and path.read_text() == other.read_text()
             rows.append((str(name), "equal" if same else "differs"))
+    for study in sorted(path.name for path in (before / "runs").iterdir() if path.is_dir()):
+        old, new = (dict(_trainings(side / "runs" / study)) for side in (before, after))
+        for label, (table, scalars) in old.items():
+            if label not in new:
+                rows.append((f"{study} {label}", "missing"))
+                continue
+            rows.append((f"{study} {label} values", _tables(table, new[label][0])))
+            rows.append((f"{study} {label} scalars", _scalars(scalars, new[label][1])))
     worse = [row for row in rows if not row[1].startswith("equal")]
     for name, verdict in worse:
         print(f"{name}: {verdict}")
@@ -289,8 +293,22 @@ def _new(name: object) -> object:
     return RENAMED.get(name, name)
 
 
-def _read(path: Path) -> pd.DataFrame:
-    return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+def _label(folder: Path) -> str:
+    """The name of a training's folder without its hash; before there were hashes it was `<label>/seed<k>`."""
+    return re.sub(r"[-/]seed(\d+)(-[0-9a-f]{8})?$", r"/seed\1", folder.as_posix())
+
+
+def _trainings(study: Path) -> Iterator[tuple[str, tuple[pd.DataFrame, dict[str, float]]]]:
+    """Values of frames and scalars of each training by its name, in this layout and in the one before it."""
+    for result in sorted((*study.glob("*/trained.json"), *study.glob("*/seed*/result.json"))):
+        scalars = json.loads(result.read_text())["scalars"]
+        files = sorted((*result.parent.glob("scores/*.parquet"), *result.parent.glob("per_image.parquet")))
+        for file in files:
+            about = (pq.read_schema(file).metadata or {}).get(b"ablate", b"{}")
+            scalars |= json.loads(about).get("scalars", {})
+        table = pd.concat([pd.read_parquet(file) for file in files]).drop(columns=["variant", "seed"], errors="ignore")
+        table = table.sort_values(["metric", "source", "split", "frame"]).reset_index(drop=True)
+        yield _label(result.parent.relative_to(study)), (table, scalars)
 
 
 def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
@@ -316,10 +334,7 @@ def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
     return f"equal{f', with new columns {sorted(new)}' if new else ''}"
 
 
-def _scalars(a: dict[str, object], b: dict[str, object]) -> str:
-    old, new = a["scalars"], b["scalars"]
-    assert isinstance(old, dict)
-    assert isinstance(new, dict)
+def _scalars(old: dict[str, float], new: dict[str, float]) -> str:
     old = {_new(k): v for k, v in old.items() if not TIMES.search(k)}
     apart = [str(k) for k, v in old.items() if k not in new or new[k] != v]
     return f"differs: {', '.join(apart)}" if apart else "equal"
