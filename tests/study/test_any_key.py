@@ -9,10 +9,10 @@ import pytest
 
 from ablate.analysis import RESIMULATION, StudyResults
 from ablate.command.compose import jobs_of
-from ablate.study.comparable import ComparableRuns, comparable_runs
+from ablate.study.comparable import ComparableRuns, comparable_runs, with_earlier
 from ablate.study.job import Job, trainings_of
 from ablate.study.reading import results_of, scored_frames, table_of_runs
-from ablate.study.run import Run, listed_runs
+from ablate.study.run import COMPARISON, Run, RunList, listed_runs, write_list
 from ablate.study.scores import ScoreKey, by_metric, write_score
 from support.finished_runs import PIXELS, finish, scores_of
 
@@ -128,3 +128,24 @@ def test_the_floor_is_that_of_the_run_that_has_most_of_it(tmp_path: Path) -> Non
             write_score(run.training.scores, key, by_metric(scores_of({metric: 20.0}, resimulated=True), [key])[key])
     frames, _ = scored_frames(usable(jobs).all)
     assert set(frames.loc[frames["variant"] == RESIMULATION, "metric"]) == {"psnr", "mae"}
+
+
+def test_one_job_joins_the_comparison_of_its_study_and_a_sweep_is_one_of_its_own(tmp_path: Path) -> None:
+    def asked(*words: str) -> RunList:
+        jobs = jobs_of([*words, "preset=tiny", "metrics=[psnr,mae]", f"runs_dir={tmp_path}"])
+        for number, job in enumerate(jobs):
+            finish(job, {"psnr": 20.0 + number, "mae": 9.0})
+        return with_earlier(listed_runs(jobs))
+
+    def compared(*words: str) -> list[str]:
+        together = asked(*words)
+        (together.folder / COMPARISON).mkdir(exist_ok=True)
+        write_list(together.folder / COMPARISON, together)
+        return [run.name for run in together.runs]
+
+    assert compared("variant=sa2h") == ["sa2h/seed0"]
+    assert compared("variant=nsa2h") == ["sa2h/seed0", "nsa2h/seed0"]
+    assert compared("variant=sa2h") == ["sa2h/seed0", "nsa2h/seed0"], "repeated"
+    assert compared("variant=sa2h-att", "training.steps=7") == ["sa2h-att/seed0"], "no label tells the steps"
+    assert compared("-m", "variant=sa2h,nsa2h") == ["sa2h/seed0", "nsa2h/seed0"]
+    assert compared("-m", "variant=sa2h,sa2h-att") == ["sa2h/seed0", "sa2h-att/seed0"]

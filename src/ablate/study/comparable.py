@@ -2,14 +2,14 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ablate.analysis import listed
 from ablate.setting import flat
 from ablate.settings.conf import components
 from ablate.study.job import Job, differences, identity_key
-from ablate.study.run import Run, RunList
+from ablate.study.run import Run, RunList, read_list
 from ablate.training.settings import TRAINING_VERSION
 from ablate.ultrasound.settings import SIMULATOR_VERSION
 
@@ -79,6 +79,27 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
     used = [*runs, *blocks]
     notes += [*untold_differences(runs, asked.reference), *_counted_twice(used), *_versions(used)]
     return ComparableRuns(tuple(runs), tuple(blocks), tuple(notes))
+
+
+def with_earlier(asked: RunList) -> RunList:
+    """The runs that a command compares, in view of the comparison that its study has on disk.
+
+    They are its own. But repeating some jobs of a sweep does not take the others out of its comparison. And one job
+    alone joins the runs that are there, in place of one of its name, unless it differs from them in what no label
+    tells.
+    """
+    kept = read_list(asked.folder)
+    wanted = {(run.training.folder, run.score_names) for run in asked.runs}
+    if asked.unfinished or not kept.runs:
+        return asked
+    if wanted < {(run.training.folder, run.score_names) for run in kept.runs}:
+        return replace(kept, reference=asked.reference)
+    if len(asked.runs) == 1:
+        others = tuple(run for run in kept.runs if run.name != asked.runs[0].name)
+        joined = (*others, *asked.runs)
+        if not untold_differences(joined, asked.reference):
+            return replace(kept, runs=joined, reference=asked.reference)
+    return asked
 
 
 def _of_same_pixels(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -159,16 +159,3 @@ def _listed_run(study_dir: Path, entry: Mapping[str, Any]) -> Run:
     if (study_dir / folder).is_symlink():
         raise ValueError(f"{folder} is a link")
     return Run(Training(study_dir / folder), label, dict(entry["changed"]), names)
-
-
-def with_earlier(asked: RunList) -> RunList:
-    """What a command compares: its own runs; or those of the comparison on disk, where it repeats some of them.
-
-    So repeating one job of a sweep does not take the others out of its comparison.
-    """
-    kept = read_list(asked.folder)
-    wanted = {(run.training.folder, run.score_names) for run in asked.runs}
-    there = {(run.training.folder, run.score_names) for run in kept.runs}
-    if asked.unfinished or not wanted < there:
-        return asked
-    return replace(kept, reference=asked.reference)

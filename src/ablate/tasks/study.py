@@ -12,10 +12,10 @@ from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
-from ablate.study.comparable import untold_differences
+from ablate.study.comparable import untold_differences, with_earlier
 from ablate.study.job import Job, trainings_of
 from ablate.study.log import Status
-from ablate.study.run import RunList, listed_runs, read_list, with_earlier
+from ablate.study.run import RunList, listed_runs, read_list
 from ablate.study.training import earlier_layout, trainings_in
 
 
