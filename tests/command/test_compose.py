@@ -96,8 +96,13 @@ def test_add_one_in_starts_from_nothing() -> None:
     assert {job.settings.model.family for job in others} == {Family.local}
 
 
+def of_the_design(jobs: list[Job]) -> list[Job]:
+    """The jobs of a study but for those of other variants, which are beside its design."""
+    return [job for job in jobs if job.settings.variant == job.settings.reference]
+
+
 def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
-    jobs = study_group("full_model")
+    jobs = of_the_design(study_group("full_model"))
     assert len(jobs) == len({job.folder for job in jobs}) == 52
     assert jobs[0].label == "sa2h"
     runs = Counter((job.label.replace(".anatomy_seed-4", ""), job.settings.scene.anatomy_seed) for job in jobs)
@@ -109,16 +114,17 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
     assert len(orders) == 2, "an order of the labels for each seed"
 
 
-def test_the_study_and_the_runs_beside_it_are_one_study() -> None:
-    jobs, beside = study_group("full_model"), study_group("full_model_beside")
-    assert {job.settings.study_dir for job in beside} == {jobs[0].settings.study_dir}
-    assert not untold_differences([*jobs, *beside], "sa2h")
-    assert not {job.folder for job in jobs} & {job.folder for job in beside}
-    of_both = {job.label: levels_of(job.identity) for job in (*jobs, *beside)}
-    factors = [*(component.key for component in components()), *(key for job in beside for key in dict(job.changed))]
-    design = find_design(of_both, factors)
+def test_the_runs_beside_the_design_take_no_part_in_it() -> None:
+    jobs = study_group("full_model")
+    design_jobs = of_the_design(jobs)
+    assert len(jobs) == len({job.folder for job in jobs}) == len(design_jobs) + 9
+    beside = Counter(job.label for job in jobs if job not in design_jobs)
+    assert beside == {"nsa2h": 3, "lsa2h": 3, "sa2h-printed.crop-0.reconstruction-l1": 3}
+    assert not untold_differences(jobs, "sa2h")
+    factors = [*(component.key for component in components()), *(key for job in jobs for key in dict(job.changed))]
+    design = find_design({job.label: levels_of(job.identity) for job in jobs}, factors)
     assert design is not None
-    assert set(design.cells.index) == {job.label for job in jobs}, "those beside it take no part"
+    assert set(design.cells.index) == {job.label for job in design_jobs}
     assert len(design.factors) == len(components())
 
 

@@ -204,5 +204,5 @@ def test_a_network_that_a_folder_names_is_not_imported(runs: Path, imported: Pat
     assert (runs / "tiny-fetal" / COMPARISON / "table.csv").exists()
     if "checkpoint" in parts:
         with pytest.raises(ValueError, match="code of"):
-            load_generator(found[1].training.checkpoint)
+            load_generator(found[1].training.checkpoint, custom=CLASS)
         assert imported.exists(), "or nothing was tested"
