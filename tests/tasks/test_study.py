@@ -126,12 +126,12 @@ def test_a_killed_scoring_loses_no_score_and_is_done_by_the_same_command(
     for path in lost:
         path.unlink()
 
-    def killed(_: object, path: Path) -> None:
+    def killed(path: Path, *_: object, **__: object) -> None:
         path.write_bytes(b"PAR1 and no more")
         raise SystemExit
 
     with monkeypatch.context() as patch:
-        patch.setattr("ablate.study.scores.pq.write_table", killed)
+        patch.setattr("ablate.study.scores.pq.ParquetWriter", killed)
         with pytest.raises(SystemExit):
             tasks.run_job(job)
     assert run(*SWEEP, f"runs_dir={finished}") == 0
@@ -197,8 +197,10 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     assert run("task=compare", *TINY, f"runs_dir={finished}") == 0
     assert report.exists()
     assert "sa2h-att" in capsys.readouterr().out, "the comparison that the study has"
-    with pytest.raises(ConfigurationError, match=r"no finished run of this command \(nsa2h/seed3\)\. It holds .*sa2h/"):
-        run("task=compare", "-m", "variant=nsa2h", "seed=3", *TINY, f"runs_dir={finished}")
+    with pytest.raises(
+        ConfigurationError, match=r"no finished run of this command \(nsa2h/seed3, lsa2h/seed3\)\. It holds .*sa2h/"
+    ):
+        run("task=compare", "-m", "variant=nsa2h,lsa2h", "seed=3", *TINY, f"runs_dir={finished}")
     assert run("task=plan", *SWEEP, "seed=0,1", f"runs_dir={finished}") == 0
     printed = capsys.readouterr().out
     assert printed.count(" finished ") == 2

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import torch
 
+from ablate.anatomy import load_tissues
+from ablate.dataset import label_values
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Family, Space, check_custom
 from ablate.setting import shown
@@ -71,7 +73,8 @@ def _check_training(job: Job, seen: int, labels: set[str], has_scene: bool) -> N
             raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")
     if s.model.family is Family.custom:
         with refusing("model."):
-            check_custom(s.model, s.training.crop or SMALLEST_CROP)
+            labels = label_values(tuple(load_tissues().values()), s.encoding).shape[1]
+            check_custom(s.model, s.training.crop or SMALLEST_CROP, labels)
     if s.training.batch_size > seen:
         raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
     for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):

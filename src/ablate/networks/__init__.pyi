@@ -1,6 +1,6 @@
+from .custom import check_custom as check_custom
 from .export import export_onnx as export_onnx
 from .families import PatchDiscriminator as PatchDiscriminator
-from .families import check_custom as check_custom
 from .families import discriminator_channels as discriminator_channels
 from .generator import Generator as Generator
 from .generator import gaussian_field as gaussian_field

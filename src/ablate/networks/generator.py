@@ -7,7 +7,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.families import CustomNetwork, LocalNetwork, UNetwork
+from ablate.networks.custom import CustomNetwork
+from ablate.networks.families import LocalNetwork, UNetwork
 from ablate.networks.layers import area_means, draw_initial_weights, laid_out
 from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, fed_channels, inputs
 
