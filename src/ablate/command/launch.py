@@ -112,7 +112,19 @@ def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> 
 def run_in_process(
     context: HydraContext, master: DictConfig, numbered: Numbered, work: Work, singletons: Mapping[Any, Any]
 ) -> None:
-    """Run one job of a sweep in a process of its own, as Hydra's launchers do; `singletons` are the parent's."""
+    """Run one job of a sweep in a process of its own, as Hydra's launchers do.
+
+    Parameters
+    ----------
+    context, master : HydraContext, DictConfig
+        What Hydra gave the launcher: how to compose, and what it composed of the words that all jobs share.
+    numbered : (Job, sequence of str, int)
+        The job, its words of the command line, and its number.
+    work : callable
+        What is done for the job.
+    singletons : mapping
+        Hydra's state in the process of the launcher.
+    """
     job, words, number = numbered
     setup_globals()
     register()

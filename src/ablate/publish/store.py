@@ -78,7 +78,19 @@ class Store:
         return not self.artifacts or (run.info.artifact_uri == place and run.info.run_id.isalnum())
 
     def create(self, name: str, kind: str, known_by: Mapping[str, str], start_ms: int | None = None) -> Run:
-        """A new run of a kind with these tags."""
+        """A new run.
+
+        Parameters
+        ----------
+        name : str
+            Shown in MLflow's pages.
+        kind : str
+            `study`, `job`, or a task such as `precision`.
+        known_by : mapping of str to str
+            Tags that it is found by.
+        start_ms : int, optional
+            When what it shows began, ms since 1970; left out, now.
+        """
         tags = {_KIND: kind, **known_by, **self.owner}
         return self.client.create_run(self.experiment_id, start_ms, tags, run_name=name)
 

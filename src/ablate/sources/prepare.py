@@ -47,7 +47,17 @@ def prepare_data(settings: StudySettings, data: DataSet, recipe: Mapping[str, An
 
 
 def frames_of(settings: StudySettings, data: DataSet, scene: Scene, grid: SiteGrid) -> Layout | Pairs:
-    """The frames of a data set, as they are made or, where none are, as they will be."""
+    """The frames of a data set, as they are made or, where none are, as they will be.
+
+    Parameters
+    ----------
+    settings : StudySettings
+        Of a job that reads the data set.
+    data : DataSet
+        It need not be made yet.
+    scene, grid : Scene, SiteGrid
+        The anatomy, and its probe sites.
+    """
     from ablate.sources.simulated import lay_out
 
     return data.pairs if data.exists else lay_out(settings, scene, grid)

@@ -93,7 +93,17 @@ def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
 
 
 def training_poses(settings: StudySettings, scene: Scene, grid: SiteGrid, poses: np.ndarray) -> np.ndarray:
-    """Poses, (n, 4, 4), that an anatomy's time gain is set for; where a folder has no probe sites, those given."""
+    """Poses, (n, 4, 4) float64, mm, that an anatomy's time gain is set for: those of the training frames.
+
+    Parameters
+    ----------
+    settings : StudySettings
+        Of a job.
+    scene, grid : Scene, SiteGrid
+        The anatomy, and its probe sites.
+    poses : (n, 4, 4) float64, mm
+        What is given where a folder has no probe sites.
+    """
     if grid == SiteGrid() and not settings.dataset.poses:
         return poses
     layout = lay_out(settings, scene, grid)

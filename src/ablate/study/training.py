@@ -225,7 +225,17 @@ def _address(label: str, seed: object, hash_: str) -> str:
 
 
 def training_at(study_dir: Path, label: str, seed: int, hash_: str) -> Training:
-    """The folder of a training: where another label has made it, or else the one that it will have."""
+    """The folder of a training: where another label has made it, or else the one that it will have.
+
+    Parameters
+    ----------
+    study_dir : Path
+        Folder of the study.
+    label, seed : str, int
+        Of the job that asks for it.
+    hash_ : str
+        The digest of its identity.
+    """
     for path in sorted(study_dir.glob(f"*{_address('', seed, hash_)}")):
         if Training(path).hash == hash_:
             return Training(path)

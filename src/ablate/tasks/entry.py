@@ -105,9 +105,20 @@ def _words(hydra_node: Any, kind: str) -> list[str]:
 def run_sweep(
     master: DictConfig, job_overrides: Sequence[Sequence[str]], first_number: int, start: Start, elsewhere: bool = False
 ) -> list[JobReturn]:
-    """Do the task of all jobs of a sweep, for our launchers: `start` starts those of them that are to be run.
+    """Do the task of all jobs of a sweep, for our launchers.
 
-    `master` is what Hydra composed of the words that all jobs share.
+    Parameters
+    ----------
+    master : DictConfig
+        What Hydra composed of the words that all jobs share.
+    job_overrides : sequence of sequences of str
+        The words of each job.
+    first_number : int
+        Of the first job, where a sweeper launches its jobs in batches.
+    start : callable
+        Starts those of the jobs that are to be run.
+    elsewhere : bool
+        Whether they run on the nodes of a cluster.
     """
     lines = [[word for word in line if not word.startswith("hydra.")] for line in job_overrides]
     swept, fixed = swept_keys(lines, _words(master.hydra, "task")), _words(master.hydra, "hydra")
