@@ -159,7 +159,8 @@ def test_artifacts_of_a_run_that_lie_elsewhere_are_not_written_to(runs: Path, pl
     jobs = finished(runs, VARIANTS[:1])
     publish(jobs)
     with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
-        connection.execute("UPDATE tags SET value = 'other' WHERE key = 'published'")
+        connection.execute("DELETE FROM tags WHERE key = 'published'")
+        connection.execute("UPDATE runs SET status = 'RUNNING'")  # so that they are gone on with
         for (run_id,) in connection.execute("SELECT run_uuid FROM runs").fetchall():
             uri = f"{runs.parent.as_uri()}/{place.format(id=run_id)}"
             connection.execute("UPDATE runs SET artifact_uri = ? WHERE run_uuid = ?", (uri, run_id))
