@@ -117,7 +117,7 @@ def test_a_study_finishes_or_is_refused_in_one_line(
     code, printed, study = outcome(*changes)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 4 << 20, "more than 4 GiB"
     if code == 0:
-        assert list(study.glob("*/seed*/result.json"))
+        assert list(study.glob("*/trained.json"))
         return
     assert "Traceback" not in printed
     if code == 2:

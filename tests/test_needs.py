@@ -51,7 +51,7 @@ def test_a_study_on_pairs_made_elsewhere_needs_neither_numba_nor_embree_nor_what
     done = ablate(SIMULATOR, "preset=tiny", *where, "training.steps=2", "training.validate_every=0", "metrics=psnr")
     assert done.returncode == 0, done.stderr
     study = tmp_path / "runs" / "tiny-mine"
-    assert '"test/psnr"' in (study / "sa2h" / "seed0" / "result.json").read_text()
+    assert len(list(study.glob("sa2h-seed0-*/scores/psnr@*.parquet"))) == 1
     assert (study / "comparison" / "report.html").exists()
 
 

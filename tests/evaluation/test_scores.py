@@ -70,7 +70,7 @@ def test_a_metric_of_ones_own_is_never_asked_in_two_threads(
 @pytest.fixture(scope="module")
 def data(runs: Path) -> Data:
     tiny = job(runs)
-    return prepare_data(tiny, maps_needed([tiny.settings.model]))
+    return prepare_data(tiny.settings, tiny.data, tiny.identity["data"], maps_needed([tiny.settings.model]))
 
 
 @pytest.fixture

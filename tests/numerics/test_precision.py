@@ -1,6 +1,5 @@
 """Error against run time, of a tiny simulator and of tiny networks, measured, interrupted and refused."""
 
-import json
 import math
 import shutil
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
 from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError
 from ablate.sources.source import source_of
-from ablate.storage import digest
+from ablate.storage import digest, read_json, write_json
 from ablate.study.work import do
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
@@ -56,15 +55,13 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
     runs = tmp_path_factory.mktemp("runs")
     (job,) = jobs_of([f"runs_dir={runs}", *TINY])
     do(job)
-    elsewhere = runs / "elsewhere" / job.label / "seed0"
+    about = read_json(job.folder / "training.json")
+    about["identity"]["data"]["dataset"]["seed"] = 1
+    about["hash"] = digest(about["identity"])
+    elsewhere = runs / "elsewhere" / f"{job.label}-seed0-{about['hash'][:8]}"
     shutil.copytree(job.folder, elsewhere)
-    spec = json.loads((elsewhere / "spec.json").read_text())
-    spec["semantic"]["data"]["dataset"]["seed"] = 1
-    spec["hash"] = digest(spec["semantic"])
-    (elsewhere / "spec.json").write_text(json.dumps(spec))
-    result = json.loads((elsewhere / "result.json").read_text()) | {"hash": spec["hash"]}
-    (elsewhere / "result.json").write_text(json.dumps(result))
-    shutil.copytree(job.folder, runs / "bare" / job.label / "seed0", ignore=shutil.ignore_patterns("*.ckpt"))
+    write_json(elsewhere / "training.json", about)
+    shutil.copytree(job.folder, runs / "bare" / job.folder.name, ignore=shutil.ignore_patterns("*.ckpt"))
     with (runs / "printed.txt").open("w") as file, redirect_stdout(file):
         assert run(f"runs_dir={runs}") == 0
     return runs

@@ -26,7 +26,7 @@ def nothing_said() -> None:
     waiting._SAID.clear()
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="package")
 def no_figures() -> Iterator[None]:
     with (
         mock.patch("ablate.study.compare.draw_figures", return_value=[]),
@@ -35,7 +35,7 @@ def no_figures() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def stopped_once(tmp_path_factory: pytest.TempPathFactory, empty_database: Path) -> Job:
     """A job that was stopped at step 3 of 4, one after its checkpoint, and then finished; and its comparison."""
     runs = tmp_path_factory.mktemp("stopped") / "runs"

@@ -170,8 +170,9 @@ def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -
 
 
 def test_another_configuration_of_the_same_names_is_another_training_and_nothing_is_lost(
-    finished: Path, capsys: pytest.CaptureFixture[str]
+    tiny_study: TinyStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    finished = shutil.copytree(tiny_study.runs, tmp_path / "runs")
     before = state(finished)
     assert run("variant=sa2h", *TINY, f"runs_dir={finished}", "training.steps=2") == 0
     printed = capsys.readouterr().out

@@ -73,8 +73,8 @@ def _check_training(job: Job, seen: int, labels: set[str], has_scene: bool) -> N
             raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")
     if s.model.family is Family.custom:
         with refusing("model."):
-            labels = label_values(tuple(load_tissues().values()), s.encoding).shape[1]
-            check_custom(s.model, s.training.crop or SMALLEST_CROP, labels)
+            numbers_a_label = label_values(tuple(load_tissues().values()), s.encoding).shape[1]
+            check_custom(s.model, s.training.crop or SMALLEST_CROP, numbers_a_label)
     if s.training.batch_size > seen:
         raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
     for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):

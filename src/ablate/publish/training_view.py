@@ -23,7 +23,7 @@ from ablate.setting import flat
 from ablate.settings.conf import build, components, components_of_networks, named_components
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
-from ablate.storage import digest
+from ablate.storage import digest, written_whole
 from ablate.study.log import Log, LoggedImage, Status, read_log
 from ablate.study.provenance import ABOUT_CODE
 from ablate.study.scores import read_score
@@ -245,7 +245,8 @@ def _publish_scores(store: Store, run_id: str, training: Training, scores: Seque
     if values:
         with tempfile.TemporaryDirectory() as folder:
             table = Path(folder) / "per_image.parquet"
-            pd.concat(values, ignore_index=True).to_parquet(table)
+            with written_whole(table) as partial:
+                pd.concat(values, ignore_index=True).to_parquet(partial)
             store.log_files(run_id, [table])
 
 
