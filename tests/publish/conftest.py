@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -26,8 +27,8 @@ def nothing_said() -> None:
     waiting._SAID.clear()
 
 
-@pytest.fixture(autouse=True, scope="package")
-def no_figures() -> Iterator[None]:
+@contextmanager
+def undrawn() -> Iterator[None]:
     with (
         mock.patch("ablate.study.compare.draw_figures", return_value=[]),
         mock.patch("ablate.sources.prepare.write_contact_sheet", lambda _, path: path.write_bytes(b"")),
@@ -35,25 +36,32 @@ def no_figures() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(autouse=True, scope="module")
+def no_figures() -> Iterator[None]:
+    with undrawn():
+        yield
+
+
+@pytest.fixture(scope="session")
 def stopped_once(tmp_path_factory: pytest.TempPathFactory, empty_database: Path) -> Job:
     """A job that was stopped at step 3 of 4, one after its checkpoint, and then finished; and its comparison."""
-    runs = tmp_path_factory.mktemp("stopped") / "runs"
-    runs.mkdir()
-    shutil.copy(empty_database, runs)
-    (job,) = jobs_of(["variant=sa2h", f"runs_dir={runs}", *TINY])
+    with undrawn():
+        runs = tmp_path_factory.mktemp("stopped") / "runs"
+        runs.mkdir()
+        shutil.copy(empty_database, runs)
+        (job,) = jobs_of(["variant=sa2h", f"runs_dir={runs}", *TINY])
 
-    def power_cut(*arguments: Any) -> None:
-        log_samples(*arguments)
-        if arguments[-1] == 3:
-            raise RuntimeError("power cut")
+        def power_cut(*arguments: Any) -> None:
+            log_samples(*arguments)
+            if arguments[-1] == 3:
+                raise RuntimeError("power cut")
 
-    with (
-        mock.patch("ablate.study.work.log_samples", power_cut),
-        pytest.raises(RuntimeError, match="power cut"),
-    ):
+        with (
+            mock.patch("ablate.study.work.log_samples", power_cut),
+            pytest.raises(RuntimeError, match="power cut"),
+        ):
+            run_job(job)
         run_job(job)
-    run_job(job)
-    compared = compare_study(listed_runs([job]), "study")
-    assert "Note" not in publish_study(job.settings, compared.study, compared.notes)
+        compared = compare_study(listed_runs([job]), "study")
+        assert "Note" not in publish_study(job.settings, compared.study, compared.notes)
     return job

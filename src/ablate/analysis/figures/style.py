@@ -52,10 +52,10 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     paths = [stem.with_name(stem.name + suffix) for suffix in (".png", ".pdf")]
     for path in paths:
         about = {"CreationDate": None} if path.suffix == ".pdf" else None
-        drawn = BytesIO()
-        figure.savefig(drawn, format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
+        in_memory = BytesIO()
+        figure.savefig(in_memory, format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
         with written_whole(path) as partial:  # not by Matplotlib, whose PDF hides that a disk is full
-            partial.write_bytes(drawn.getvalue())
+            partial.write_bytes(in_memory.getvalue())
         figure.set_layout_engine("none")  # the second file takes the places found for the first
     return paths
 
