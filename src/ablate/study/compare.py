@@ -22,8 +22,8 @@ from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
 from ablate.study.provenance import package_digest
 from ablate.study.reading import provenance
-from ablate.study.run import COMPARISON, Run, RunList, write_list
-from ablate.study.training import earlier_layout, refuse_link
+from ablate.study.run import COMPARISON, Run, RunList, earlier_layout, write_list
+from ablate.study.training import refuse_link
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from tqdm import tqdm
 from ablate.analysis import RESIMULATION, FramePictures, StudyResults
 from ablate.study.comparable import ComparableRuns, comparable_runs
 from ablate.study.reading import pictures, results_of, table_of_runs
-from ablate.study.run import RunList, read_list
-from ablate.study.training import earlier_layout
+from ablate.study.run import RunList, earlier_layout, read_list
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
 ANSWER = ("runs/full_model", "docs/results/full_model")  # where `make answer` leaves its study, and where it is kept

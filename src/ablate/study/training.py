@@ -30,7 +30,6 @@ ABOUT = "training.json"  # what it is: hash, label, seed, changed, identity, set
 RESULT = "trained.json"  # what it came to; written when the last step is done
 _PARAMETERS = ("parameters_generator", "parameters_discriminator")  # scalars that every training has
 _KINDS: Mapping[str, type] = {"pixels": str, "scalars": dict, "notes": list, "started": str, "ended": str}
-_EARLIER = "*/seed*/spec.json"  # of the layout before this one
 _NAME = r"\w[\w.+ -]*"  # of a label or a data set
 
 
@@ -271,13 +270,6 @@ def refuse_link(folder: Path) -> None:
 def trainings_in(study_dir: Path) -> list[Training]:
     """Every training in the folder of a study, in whatever state, by the name of its folder."""
     return [Training(path.parent) for path in sorted(study_dir.glob(f"*/{ABOUT}"))]
-
-
-def earlier_layout(study_dir: Path) -> list[str]:
-    """A sentence where a folder has runs of the layout before this one, which are not read."""
-    count = len(list(study_dir.glob(_EARLIER)))
-    runs = "1 run" if count == 1 else f"{count} runs"
-    return [f"{study_dir} has {runs} of an earlier layout, which this version does not read."] if count else []
 
 
 def _is_described(about: Mapping[str, Any]) -> bool:

@@ -15,8 +15,8 @@ from ablate.sources.source import source_of
 from ablate.study.comparable import untold_differences, with_earlier
 from ablate.study.job import Job, trainings_of
 from ablate.study.log import Status
-from ablate.study.run import RunList, listed_runs, read_list
-from ablate.study.training import earlier_layout, trainings_in
+from ablate.study.run import RunList, earlier_layout, listed_runs, read_list
+from ablate.study.training import trainings_in
 
 
 def study(jobs: Sequence[Job], launch: Launch) -> int:
