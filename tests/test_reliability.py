@@ -51,7 +51,8 @@ def value_logged_again(runs: Path) -> None:
     execute(
         runs,
         "INSERT INTO metrics (key, value, timestamp, run_uuid, step, is_nan) "
-        "SELECT key, value, timestamp + 1, run_uuid, step, is_nan FROM metrics WHERE key = 'train/l1' LIMIT 1",
+        "SELECT key, value, timestamp + 1, run_uuid, step, is_nan FROM metrics JOIN runs USING (run_uuid) "
+        "WHERE key = 'train/l1' AND lifecycle_stage = 'active' LIMIT 1",
     )
 
 

@@ -178,7 +178,8 @@ def test_a_users_variant_has_a_name_that_a_folder_can_have(tmp_path: Path) -> No
     path = f"hydra.searchpath=[file://{tmp_path}]"
     with pytest.raises(ConfigurationError, match=r"^variant='a/b': allowed are at most 200 letters"):
         jobs_of([path, "variant=other"])
-    assert jobs_of([path, "variant=mine"])[0].folder.name.startswith("comparison-seed0-"), "no folder of another"
+    (mine,) = jobs_of([path, "variant=mine", f"runs_dir={tmp_path}"])
+    assert mine.folder.name.startswith("comparison-seed0-"), "no folder of another"
 
 
 def test_two_trainings_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

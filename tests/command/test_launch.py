@@ -226,10 +226,11 @@ def test_only_devices_that_are_visible_are_dealt(monkeypatch: pytest.MonkeyPatch
     assert devices_to_share("cpu") == ()
 
 
-def test_each_study_of_a_sweep_is_compared_when_another_launcher_has_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("how", [["hydra/launcher=basic"], ["hydra.sweeper.max_batch_size=1"]])
+def test_each_study_of_a_sweep_is_compared_at_its_end_where_no_launcher_saw_all_jobs(
+    how: Sequence[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every job composes and runs by itself; the studies are known from the whole command line."""
+    """Another launcher runs each job by itself, and a sweeper launches batches; the whole command line is known."""
     done: list[list[tuple[str, Task]]] = []
     for study in ("one", "two"):
         (tmp_path / "runs" / study).mkdir(parents=True)
@@ -237,7 +238,7 @@ def test_each_study_of_a_sweep_is_compared_when_another_launcher_has_ended(
         "ablate.tasks.entry._do",
         lambda jobs, _: done.append([(job.settings.study, job.settings.task) for job in jobs]),
     )
-    line = ["-m", "preset=tiny", "study_name=one,two", "hydra/launcher=basic", f"runs_dir={tmp_path / 'runs'}"]
+    line = ["-m", "preset=tiny", "study_name=one,two", *how, f"runs_dir={tmp_path / 'runs'}"]
     assert execute(line) == 0
     *jobs, compared = done
     assert jobs == [[("one", Task.study)], [("two", Task.study)]]
@@ -251,5 +252,5 @@ def test_launchers_of_others_run_each_job_and_then_the_study_is_compared(launche
     line = ["-m", "preset=tiny", "variant=sa2h,sa2h-att", f"hydra/launcher={launcher}", f"runs_dir={tmp_path / 'runs'}"]
     assert execute(line) == 0
     study = tmp_path / "runs" / "tiny-fetal"
-    assert {path.parts[-3] for path in study.glob("*/*/result.json")} == {"sa2h", "sa2h-att"}
+    assert {path.parent.name.partition("-seed")[0] for path in study.glob("*/trained.json")} == {"sa2h", "sa2h-att"}
     assert (study / "comparison" / "table.csv").exists()

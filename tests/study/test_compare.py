@@ -16,7 +16,7 @@ from ablate.metrics import metric_of
 from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, read_json, write_json
-from ablate.study.comparable import comparable_runs, levels_of
+from ablate.study.comparable import comparable_runs, levels_of, with_earlier
 from ablate.study.compare import compare_study, write_comparison
 from ablate.study.frame_times import TIMES, network_of, timed_on
 from ablate.study.opened import Study
@@ -453,6 +453,50 @@ def test_runs_scored_on_other_pixels_are_left_aside(study: Path) -> None:
     (note,) = usable.notes
     assert note.startswith("1 run left aside, scored on other pixels of the same recipe")
     assert len(usable.runs) == 3 * len(VARIANTS) - 1
+
+
+def renamed_scores(run: Run, of: str, to: str) -> Run:
+    """The run with scores whose names say that they were computed another way."""
+    for path in run.training.score_files():
+        path.rename(path.with_name(path.name.replace(of, to)))
+    return Run(run.training, run.label, {}, tuple(name.replace(of, to) for name in run.score_names))
+
+
+@pytest.mark.parametrize(
+    ("of", "to"), [("@v2-", "@v3-"), ("mae@v2-draws3", "mae@0123abcd-draws3"), ("draws3", "draws4")]
+)
+def test_scores_by_two_definitions_of_a_metric_are_in_no_table_together(study: Path, of: str, to: str) -> None:
+    other = renamed_scores(run_in(study, "nsa2h", 2), of, to)
+    others = [one for one in read_list(study).runs if one.name != other.name]
+    usable = comparable_runs(listed(study, *others, other))
+    names = {name for run in usable.runs for name in run.score_names}
+    assert not any(to in name for name in names)
+    assert any(note.startswith("mae is computed in more than one way (v2-draws3, ") for note in usable.notes)
+    assert all("left aside in nsa2h/seed2" in note for note in usable.notes if "in more than one way" in note)
+    alone = RunList(study, (other,), (), "sa2h")
+    listed(study, *others)
+    assert with_earlier(alone) is alone, "and one job alone does not join them"
+
+
+def test_a_training_and_a_name_count_once(study: Path) -> None:
+    before = comparable_runs(read_list(study))
+    first = before.runs[0]
+    twin = Run(first.training, "the-same", {}, first.score_names)
+    namesake = Run(before.runs[-1].training, first.label, {}, first.score_names)
+    namesake_elsewhere = write_run(study.parent / "other", first.label, first.seed, frames=10)
+    usable = comparable_runs(listed(study, *before.runs, twin, namesake, namesake_elsewhere))
+    assert [run.name for run in usable.runs] == [run.name for run in before.runs]
+    (note,) = usable.notes
+    assert note.startswith("3 runs left aside, as a run before has the same training or the same name: the-same/seed0")
+    listed(study, *before.runs)
+    joined = with_earlier(RunList(study, (twin,), (), "sa2h"))
+    assert [run.name for run in joined.runs] == [run.name for run in before.runs]
+
+
+def test_the_reference_of_a_study_stays_unless_a_command_names_another(study: Path) -> None:
+    first = listed(study, *read_list(study).runs, reference="nsa2h").runs[0]
+    assert with_earlier(RunList(study, (first,), (), "sa2h")).reference == "nsa2h"
+    assert with_earlier(RunList(study, (first,), (), "sa2h-att")).reference == "sa2h-att"
 
 
 def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,6 +130,21 @@ def test_nothing_is_trained_in_a_folder_that_is_a_link(runs: Path, outside: Path
     assert contents(outside) == {"diary.txt": b"mine"}
 
 
+@pytest.mark.parametrize("name", ["log.jsonl", "last.ckpt", "trained.json", "scores", "images", "provenance"])
+@pytest.mark.parametrize("is_known", [True, False])
+def test_nothing_is_written_through_a_link_in_the_folder_of_a_training(
+    runs: Path, outside: Path, name: str, is_known: bool
+) -> None:
+    (job,) = jobs_of(["preset=tiny", "variant=nsa2h", f"runs_dir={runs}"])
+    if is_known:
+        claim(job)
+    job.folder.mkdir(exist_ok=True)
+    (job.folder / name).symlink_to(outside / "diary.txt" if "." in name else outside)
+    with pytest.raises(ConfigurationError, match=rf"{name} is a link"):
+        claim(job)
+    assert contents(outside) == {"diary.txt": b"mine"}
+
+
 def test_a_lock_that_is_a_link_does_not_empty_a_file(runs: Path, outside: Path) -> None:
     (runs / "tiny-fetal" / ".comparison.lock").symlink_to(outside / "diary.txt")
     with pytest.raises(OSError, match="symbolic links"):

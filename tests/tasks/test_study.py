@@ -144,20 +144,31 @@ def test_a_killed_scoring_loses_no_score_and_is_done_by_the_same_command(
     assert after[checkpoint] == before[checkpoint], "nothing is trained for a score"
 
 
-def test_a_training_whose_checkpoint_is_gone_is_left_alone_until_a_score_is_missing(
-    finished: Path, tmp_path: Path
-) -> None:
+def test_a_training_whose_checkpoint_is_gone_is_never_trained_over_its_scores(finished: Path, tmp_path: Path) -> None:
     runs = shutil.copytree(finished, tmp_path / "runs")
     job = sweep(runs)[0]
     job.training.checkpoint.unlink()
-    assert job.finished
+    assert job.finished, "nothing is missing that was asked for"
     (job.training.scores / job.wanted[0].file_name).unlink()
-    before = state(runs)
+    before = state(job.folder)
+    message = rf"last\.ckpt is missing, and sa2h/seed0 has no score of {job.wanted[0].metric}"
+    with pytest.raises(ConfigurationError, match=message):
+        run(*SWEEP, f"runs_dir={runs}")
+    with pytest.raises(ConfigurationError, match=message):
+        tasks.run_job(job)
+    assert state(job.folder) == before
+
+
+def test_a_score_that_is_added_later_leaves_what_the_training_was_made_with(finished: Path, tmp_path: Path) -> None:
+    runs = shutil.copytree(finished, tmp_path / "runs")
+    job = sweep(runs)[0]
+    job.training.pictures_file.unlink()
+    (job.training.scores / job.wanted[0].file_name).unlink()
+    made = {path: path.read_bytes() for path in (job.folder / "provenance").iterdir()}
     tasks.run_job(job)
     assert job.finished
-    after = state(runs)
-    own = [path for path in before if path.startswith(str(job.folder)) and "/scores/" in path]
-    assert all(after[path] != before[path] for path in own), "all scores are of the new weights"
+    assert made == {path: path.read_bytes() for path in (job.folder / "provenance").iterdir()}
+    assert job.training.pictures, "pictures that were missing are rendered"
 
 
 def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -> None:
@@ -176,7 +187,8 @@ def test_another_configuration_of_the_same_names_is_another_training_and_nothing
     before = state(finished)
     assert run("variant=sa2h", *TINY, f"runs_dir={finished}", "training.steps=2") == 0
     printed = capsys.readouterr().out
-    assert "the comparison before this one had sa2h/seed0, sa2h-att/seed0 too" in printed
+    assert "not in this comparison, as one command compares what it names: sa2h-att-seed0-" in printed
+    assert [r.training.seed for r in read_list(finished / "tiny-fetal").runs] == [0], "two steps are compared alone"
     kept = {path: time for path, time in before.items() if "/tiny-fetal/sa2h" in path or "/data/" in path}
     assert state(finished).items() >= kept.items()
     assert len(list(finished.glob("tiny-fetal/sa2h-seed0-*"))) == 2
@@ -207,6 +219,13 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     assert printed.count(" finished ") == 2
     assert printed.count(" missing ") == 2
     assert "2 of 4 jobs are left: about" in printed
+
+
+def test_compare_takes_all_that_is_trained_where_there_is_no_comparison(finished: Path, tmp_path: Path) -> None:
+    runs = shutil.copytree(finished, tmp_path / "runs")
+    shutil.rmtree(runs / "tiny-fetal" / "comparison")
+    assert run("task=compare", *TINY, f"runs_dir={runs}") == 0
+    assert {one.label for one in read_list(runs / "tiny-fetal").runs} == {"sa2h", "sa2h-att"}
 
 
 def test_a_job_that_fails_is_said_and_the_others_are_compared(

@@ -8,8 +8,10 @@ from typing import Any
 from ablate.analysis import listed
 from ablate.setting import flat
 from ablate.settings.conf import components
+from ablate.settings.study import StudySettings
 from ablate.study.job import Job, differences, identity_key
 from ablate.study.run import Run, RunList, read_list
+from ablate.study.scores import definition_in, metric_in
 from ablate.training.settings import TRAINING_VERSION
 from ablate.ultrasound.settings import SIMULATOR_VERSION
 
@@ -51,10 +53,13 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
 
     Of runs on different pairs those on the reference's are taken, or else on the pairs that most runs have; and as
     blocks those on pairs that differ from them only in the anatomy or in components. Scores on other frames, which
-    another processor may have made of the same recipe, are left aside.
+    another processor may have made of the same recipe, are left aside; so are scores by another definition of a metric
+    than that of most runs. A training counts once, and so does a name.
     """
     aside = {"not finished": list(asked.unfinished)}
-    runs, other_pixels = _of_same_pixels(asked.runs)
+    once, aside["left aside, as a run before has the same training or the same name"] = _counted_once(asked.runs)
+    alike, of_definitions = _of_same_definitions(once)
+    runs, other_pixels = _of_same_pixels(alike)
     aside["left aside, scored on other pixels of the same recipe: processors round otherwise"] = other_pixels
     blocks: list[Run] = []
     if runs:
@@ -77,7 +82,7 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
         if names
     ]
     used = [*runs, *blocks]
-    notes += [*untold_differences(runs, asked.reference), *_counted_twice(used), *_versions(used)]
+    notes += [*of_definitions, *untold_differences(runs, asked.reference), *_counted_twice(used), *_versions(used)]
     return ComparableRuns(tuple(runs), tuple(blocks), tuple(notes))
 
 
@@ -85,21 +90,64 @@ def with_earlier(asked: RunList) -> RunList:
     """The runs that a command compares, in view of the comparison that its study has on disk.
 
     They are its own. But repeating some jobs of a sweep does not take the others out of its comparison. And one job
-    alone joins the runs that are there, in place of one of its name, unless it differs from them in what no label
-    tells.
+    alone joins the runs that are there, in place of one of its name or its training, unless it differs from them in
+    what no label tells, or in the definition of a metric. A reference that no command named is the kept one.
     """
     kept = read_list(asked.folder)
-    wanted = {(run.training.folder, run.score_names) for run in asked.runs}
     if asked.unfinished or not kept.runs:
         return asked
+    is_named = asked.reference != StudySettings.reference
+    kept = replace(kept, reference=asked.reference if is_named else kept.reference)
+    wanted = {(run.training.folder, run.score_names) for run in asked.runs}
     if wanted < {(run.training.folder, run.score_names) for run in kept.runs}:
-        return replace(kept, reference=asked.reference)
+        return kept
     if len(asked.runs) == 1:
-        others = tuple(run for run in kept.runs if run.name != asked.runs[0].name)
-        joined = (*others, *asked.runs)
-        if not untold_differences(joined, asked.reference):
-            return replace(kept, runs=joined, reference=asked.reference)
+        (own,) = asked.runs
+        others = [run for run in kept.runs if run.name != own.name and run.training.folder != own.training.folder]
+        joined = (*others, own)
+        if not untold_differences(joined, kept.reference) and not _of_same_definitions(joined)[1]:
+            return replace(kept, runs=joined)
     return asked
+
+
+def _counted_once(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """The runs but those of a training or a name that one before has; and of these the names."""
+    once: list[Run] = []
+    again = []
+    for run in runs:
+        if any(run.training.folder == other.training.folder or run.name == other.name for other in once):
+            again.append(run.name)
+        else:
+            once.append(run)
+    return once, again
+
+
+def _of_same_definitions(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """The runs without scores by another definition of a metric than most have, and a sentence for each such metric.
+
+    A definition is the version or code of a metric and the number of noise draws.
+    """
+    definitions: dict[str, Counter[str]] = {}
+    for run in runs:
+        for name in run.score_names:
+            definitions.setdefault(metric_in(name), Counter())[definition_in(name)] += 1
+    usual = {metric: counted.most_common(1)[0][0] for metric, counted in definitions.items()}
+    notes = []
+    for metric, counted in definitions.items():
+        if len(counted) > 1:
+            others = [
+                run.name
+                for run in runs
+                if any(metric_in(name) == metric and definition_in(name) != usual[metric] for name in run.score_names)
+            ]
+            differing = ", ".join(counted)
+            notes.append(f"{metric} is computed in more than one way ({differing}): left aside in {listed(others)}.")
+    alike = []
+    for run in runs:
+        names = tuple(name for name in run.score_names if definition_in(name) == usual[metric_in(name)])
+        if names:
+            alike.append(run if names == run.score_names else replace(run, score_names=names))
+    return alike, notes
 
 
 def _of_same_pixels(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:

@@ -17,7 +17,7 @@ from ablate.metrics.metric import FRAME_TIME
 from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, digest_of_files, known_json, write_json
-from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of
+from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, with_earlier
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
 from ablate.study.provenance import package_digest
@@ -44,7 +44,8 @@ def compare_study(
     Parameters
     ----------
     asked : RunList
-        The runs; those that cannot be compared with the others are left aside and named.
+        The runs; those that cannot be compared with the others are left aside and named. Unless it is rebuilt, runs
+        that the comparison on disk has may join them; see `comparable.with_earlier`.
     title : str
         Of the report.
     rebuild : bool
@@ -60,11 +61,13 @@ def compare_study(
         Where no run is finished, or the folder is a link.
     """
     refuse_link(asked.folder)
-    usable = comparable_runs(asked)
-    if not usable.runs:
-        told = [f"{asked.folder} holds no finished run to compare.", *usable.notes, *earlier_layout(asked.folder)]
-        raise ConfigurationError(" ".join(told))
-    with FileLock(asked.folder / ".comparison.lock"):
+    if not asked.runs:
+        told = [f"{asked.folder} holds no finished run to compare.", *comparable_runs(asked).notes]
+        raise ConfigurationError(" ".join([*told, *earlier_layout(asked.folder)]))
+    with FileLock(asked.folder / ".comparison.lock"):  # the list on disk is read and written by one process
+        if not rebuild:
+            asked = with_earlier(asked)
+        usable = comparable_runs(asked)
         failed = time_networks(asked.folder, usable.all, named) if time_here else ""
         return _compare(asked, usable, title, rebuild, failed)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ablate.dataset.encoding import Encoding
 from ablate.setting import check_name, identity, plain
-from ablate.settings.study import StudySettings
+from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
 from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
 from ablate.user_code import code_digest
@@ -112,6 +112,18 @@ class Job:
         """Whether the training has reached its last step, and every score that is asked for is there."""
         training = self.training
         return training.hash == self.hash and training.is_trained and not training.lacking(self.wanted)
+
+
+def refuse_lost_network(job: Job) -> None:
+    """Refuse to score what is trained but has lost its checkpoint: training it anew would replace what is finished."""
+    training = job.training
+    if not training.is_trained or training.checkpoint.exists():
+        return
+    if lacking := ", ".join(key.metric for key in training.lacking(job.wanted)):
+        raise ConfigurationError(
+            f"{training.checkpoint} is missing, and {job.name} has no score of {lacking}: "
+            f"put it back, name other metrics=, or remove {training.folder} to train it again"
+        )
 
 
 def claim(job: Job) -> Training:

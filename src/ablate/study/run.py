@@ -17,7 +17,7 @@ from ablate.settings.study import StudySettings
 from ablate.storage import known_json, write_json
 from ablate.study.job import Job
 from ablate.study.scores import Score, is_whole, read_score
-from ablate.study.training import Training
+from ablate.study.training import Training, trainings_in
 
 _LOG = logging.getLogger(__name__)
 COMPARISON = "comparison"  # folder of a study beside its trainings
@@ -105,10 +105,26 @@ def run_of(job: Job) -> Run:
 
 def listed_runs(jobs: Sequence[Job]) -> RunList:
     """The runs of the jobs of one study, which train something else each."""
-    runs = [run_of(job) for job in jobs if job.finished]
-    unfinished = [_unfinished(job) for job in jobs if not job.finished]
+    runs, unfinished = [], []
+    for job in jobs:
+        if job.finished:
+            runs.append(run_of(job))
+        else:
+            unfinished.append(_unfinished(job))
     settings = jobs[0].settings
     return RunList(settings.study_dir, tuple(runs), tuple(unfinished), settings.reference)
+
+
+def trained_runs(study_dir: Path) -> tuple[Run, ...]:
+    """Everything in the folder of a study that is trained, with what it was scored on its own frames."""
+    runs = []
+    for training in trainings_in(study_dir):
+        if training.is_trained and not training.folder.is_symlink():
+            own = f"-{training.pixels[:8]}.parquet"
+            names = tuple(path.name for path in training.score_files() if path.name.endswith(own) and is_whole(path))
+            if names:
+                runs.append(Run(training, training.label, training.changed, names))
+    return tuple(runs)
 
 
 def _unfinished(job: Job) -> str:

@@ -49,6 +49,16 @@ class ScoreKey:
         return f"{self.metric}@{self.source}-draws{self.draws}-{self.pixels[:_SHORT]}.parquet"
 
 
+def metric_in(file_name: str) -> str:
+    """The name of the metric whose values a file of this name holds."""
+    return file_name.partition("@")[0]
+
+
+def definition_in(file_name: str) -> str:
+    """What the name of a file says of how a metric is computed: its version or code, and the number of draws."""
+    return file_name.partition("@")[2].rpartition("-")[0]
+
+
 @dataclass(frozen=True)
 class Score:
     """One metric of one training.

@@ -251,6 +251,8 @@ def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
     with FileLock(study_dir / ".claim.lock"):  # two labels of one training have one folder
         training = training_at(study_dir, about["label"], about["seed"], about["hash"])
         refuse_link(training.folder)
+        for path in training.folder.glob("*"):
+            refuse_link(path)
         if training.hash == about["hash"]:
             return training
         if training.checkpoint.exists():
@@ -261,10 +263,11 @@ def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
         return Training(training.folder)
 
 
-def refuse_link(folder: Path) -> None:
-    """Refuse to write in a folder of a study that is a link: whoever made the study would choose where to."""
-    if folder.is_symlink():
-        raise ConfigurationError(f"{folder} is a link to {folder.readlink()}: allowed are folders, name it by runs_dir")
+def refuse_link(path: Path) -> None:
+    """Refuse to write through a link in a study: whoever made the study would choose where to."""
+    if path.is_symlink():
+        kinds = "allowed are files and folders; runs_dir may be elsewhere"
+        raise ConfigurationError(f"{path} is a link to {path.readlink()}: {kinds}")
 
 
 def trainings_in(study_dir: Path) -> list[Training]:

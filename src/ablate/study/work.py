@@ -23,7 +23,7 @@ from ablate.settings.study import ConfigurationError, StudySettings, Verbosity
 from ablate.sources.data_set import DataSet, maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.storage import remove_partial, written_whole
-from ablate.study.job import Job, claim, parameters
+from ablate.study.job import Job, claim, parameters, refuse_lost_network
 from ablate.study.log import LocalLog, Status
 from ablate.study.provenance import write_provenance
 from ablate.study.scores import ScoreKey, by_metric, wanted_scores, write_score
@@ -51,6 +51,7 @@ def do(job: Job) -> None:
     with training.lock():  # another process may be doing the same job
         if job.finished:
             return
+        refuse_lost_network(job)
         target = job.settings.model.target
         if target and code_digest(target) != job.identity["model"]["source"]:
             raise ConfigurationError(f"model.target={target}: edited since the sweep began; repeat the command")
@@ -63,18 +64,20 @@ def _train_and_score(job: Job, training: Training) -> None:
     data = prepare_data(settings, job.data, job.identity["data"], maps_needed([settings.model]))
     _LOG.info("%d frames of %s", len(data.pairs), data.name)
     anew = not training.checkpoint.exists()
-    if anew:
+    if anew:  # and its result, if there is one, cannot be used
         training.begin_again()
         training = Training(training.folder)
     log = LocalLog(training.folder, anew)  # curves, images and states as the training goes on
     with _stated(log):
         began, clock = _now(), time.perf_counter()
-        write_provenance(job, training)
+        if not training.is_trained:
+            write_provenance(job, training)
         values = dataset.label_values(data.tissues, settings.encoding, settings.label_seed)
         trained = _train(settings, training, data, values, log)
         render = generated_images(trained.generator, data.pairs, values, settings.training.precision)
-        if not training.is_trained:
+        if not training.pictures_file.exists():
             _write_pictures(training, data, render, settings.evaluation.pictures)
+        if not training.is_trained:
             scalars = {
                 "train/resumed_at": float(trained.resumed_at),
                 **parameters(settings, settings.model, values.shape[1]),

@@ -128,7 +128,8 @@ def run_sweep(
         numbers = [made.index(job) for job in jobs]
         start([(made[n], job_overrides[n], first_number + n) for n in numbers], work)
 
-    launch = Launch(start_some, elsewhere, compares=made[0].settings.objective is None)
+    sees_all = made[0].settings.objective is None and not _in_batches(master)
+    launch = Launch(start_some, elsewhere, compares=sees_all)
     try:
         code = _do(made, launch)
     except Exception as error:
@@ -161,13 +162,30 @@ def _do(jobs: Sequence[Job], launch: Launch) -> int:
 
 
 class Comparison(hydra.experimental.callback.Callback):
-    """A callback of Hydra's: compares the study of a sweep whose jobs another launcher than ours has run."""
+    """A callback of Hydra's: compares the study of a sweep when all jobs have ended, where none saw all of them.
+
+    That is where another launcher than ours has run each by itself, or a sweeper has launched them in batches.
+    """
 
     def on_multirun_end(self, config: DictConfig, **_: object) -> None:
         """Compare what lies on disk when all jobs have ended."""
         is_ours = str(config.hydra.launcher.get("_target_")).startswith(_OURS)
-        if is_ours or config.objective is not None or config.task != Task.study:
+        is_compared = is_ours and not _in_batches(config)
+        if is_compared or config.objective is not None or config.task != Task.study:
             return
-        jobs = jobs_of(["-m", *_words(config.hydra, "task"), "task=compare"])
-        if there := [job for job in jobs if job.settings.study_dir.is_dir()]:
-            _do(there, Launch(start_here))
+        words = [*_words(config.hydra, "hydra"), *_words(config.hydra, "task")]
+        jobs = jobs_of(["-m", *words, "task=compare"])
+        there = [job for job in jobs if job.settings.study_dir.is_dir()]
+        if not there:
+            return
+        try:
+            code = _do(there, Launch(start_here))
+        except ConfigurationError as error:  # of which Hydra would print a warning
+            raise _Raised(error) from error
+        if code:
+            raise SystemExit(code)
+
+
+def _in_batches(config: DictConfig) -> bool:
+    """Whether Hydra's sweeper launches the jobs of a command a few at a time."""
+    return OmegaConf.select(config, "hydra.sweeper.max_batch_size") is not None

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from ablate.command.compose import without_repetitions
@@ -12,10 +13,10 @@ from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
-from ablate.study.comparable import untold_differences, with_earlier
-from ablate.study.job import Job, trainings_of
+from ablate.study.comparable import untold_differences
+from ablate.study.job import Job, refuse_lost_network, trainings_of
 from ablate.study.log import Status
-from ablate.study.run import RunList, earlier_layout, listed_runs, read_list
+from ablate.study.run import RunList, earlier_layout, listed_runs, read_list, trained_runs
 from ablate.study.training import trainings_in
 
 
@@ -29,6 +30,8 @@ def study(jobs: Sequence[Job], launch: Launch) -> int:
     for line in (*_said_of_repetitions(jobs), *_said_of_differences(asked)):
         print(line)
     waiting = [job for job in asked if not job.finished]
+    for job in waiting:
+        refuse_lost_network(job)
     if waiting and not launch.elsewhere:
         _simulate_for(waiting)  # so that a mesh that cannot be used is refused before anything is published
     with _marked(waiting):
@@ -37,8 +40,7 @@ def study(jobs: Sequence[Job], launch: Launch) -> int:
         if launch.compares:
             for group in _by_study(asked):
                 if any(job.finished for job in group):
-                    listed = with_earlier(listed_runs(trainings_of(group)))
-                    _compare(listed, group, time_here=not launch.elsewhere)
+                    _compare(listed_runs(trainings_of(group)), group, time_here=not launch.elsewhere)
     failed = [job.name for job in waiting if not job.finished]
     if failed:
         print(f"not finished: {', '.join(failed)}; the same command takes them up again", file=sys.stderr)
@@ -147,13 +149,16 @@ def _by_study(jobs: Sequence[Job]) -> list[list[Job]]:
 def compare(jobs: Sequence[Job]) -> int:
     """Make the comparison of every study anew from what is on disk.
 
-    A sweep compares its own jobs. One job alone asks for the comparison that the study has, whatever it is of.
+    A sweep compares its own jobs. One job alone asks for the comparison that the study has, whatever it is of, and
+    where there is none, for all that is trained.
     """
     for group in _by_study(without_repetitions(jobs)):
         settings = group[0].settings
-        kept = read_list(settings.study_dir)
-        own = listed_runs(trainings_of(group))
-        asked = kept if len(jobs) == 1 and kept.runs else own
+        asked = listed_runs(trainings_of(group))
+        if len(jobs) == 1:
+            kept = read_list(settings.study_dir)
+            there = kept if kept.runs else replace(asked, runs=trained_runs(settings.study_dir), unfinished=())
+            asked = there if there.runs else asked
         if not asked.runs:
             raise ConfigurationError(_nothing_finished(settings, asked))
         _compare(asked, group, rebuild=True)
@@ -176,11 +181,10 @@ def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_he
 
     settings = jobs[0].settings
     named = [job.settings.model.target for job in jobs if job.settings.model.target]
-    before = read_list(asked.folder)
     compared = compare_study(asked, settings.study, rebuild, time_here, named)
     where = publish_study(settings, compared.study, compared.notes)
     print(f"{on_screen(compared)}\nMLflow         {where}")
-    now = {run.training.folder for run in asked.runs}
-    gone = [run.name for run in before.runs if run.training.folder not in now]
-    if gone:
-        print(f"Note: the comparison before this one had {', '.join(gone)} too; one command compares what it names.")
+    shown = {run.training.folder for run in compared.study.listed.runs}
+    others = [one.folder.name for one in trainings_in(asked.folder) if one.is_trained and one.folder not in shown]
+    if others:
+        print(f"Note: not in this comparison, as one command compares what it names: {', '.join(others)}.")

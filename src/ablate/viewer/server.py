@@ -72,7 +72,7 @@ def _only_own_pages(connections: Any, port: int) -> Callable[[Any], Coroutine[An
         connection = connections._live_connections[client.client_id]
         site = connection.request.headers.get("Origin")
         if site is not None and site not in own_sites:
-            await connection.close(_POLICY_VIOLATION, "another site's page")
             print(f"ablate: a page of {site[:100]} was refused", file=sys.stderr)
+            await connection.close(_POLICY_VIOLATION, "another site's page")
 
     return check
