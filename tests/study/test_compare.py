@@ -493,6 +493,24 @@ def test_a_training_and_a_name_count_once(study: Path) -> None:
     assert [run.name for run in joined.runs] == [run.name for run in before.runs]
 
 
+def test_a_run_whose_files_are_damaged_stays_in_the_list_until_it_is_replaced(study: Path) -> None:
+    whole = read_list(study)
+    run, last = whole.runs[0], whole.runs[-1]
+    listed(study, *whole.runs[:-1])
+    content = score_file(run, "mae").read_bytes()
+    score_file(run, "mae").write_bytes(b"PAR1")
+    joined = with_earlier(RunList(study, (last,), (), "sa2h"))
+    assert [name.partition("-seed")[0] for name in joined.unfinished] == [run.label]
+    write_list(study / "comparison", joined)
+    score_file(run, "mae").write_bytes(content)
+    assert {one.name for one in read_list(study).runs} == {one.name for one in whole.runs}
+    score_file(run, "mae").write_bytes(b"PAR1")
+    again = Run(Training(shutil.copytree(run.training.folder, study / "copy")), run.label, {}, run.score_names)
+    replaced = with_earlier(RunList(study, (again,), (), "sa2h"))
+    assert not replaced.unfinished
+    assert not replaced.unread
+
+
 def test_the_reference_of_a_study_stays_unless_a_command_names_another(study: Path) -> None:
     first = listed(study, *read_list(study).runs, reference="nsa2h").runs[0]
     assert with_earlier(RunList(study, (first,), (), "sa2h")).reference == "nsa2h"

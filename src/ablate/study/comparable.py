@@ -106,7 +106,13 @@ def with_earlier(asked: RunList) -> RunList:
         others = [run for run in kept.runs if run.name != own.name and run.training.folder != own.training.folder]
         joined = (*others, own)
         if not untold_differences(joined, kept.reference) and not _of_same_definitions(joined)[1]:
-            return replace(kept, runs=joined)
+            replaced = f"{own.label}-seed{own.seed}-"
+            return replace(
+                kept,
+                runs=joined,
+                unfinished=tuple(name for name in kept.unfinished if not name.startswith(replaced)),
+                unread=tuple(entry for entry in kept.unread if not str(entry["training"]).startswith(replaced)),
+            )
     return asked
 
 

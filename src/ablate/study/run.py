@@ -96,6 +96,7 @@ class RunList:
     runs: tuple[Run, ...]
     unfinished: tuple[str, ...]  # names of jobs that are not, and why
     reference: str
+    unread: tuple[dict[str, Any], ...] = ()  # entries of the list on disk whose files are missing or damaged; they stay
 
 
 def run_of(job: Job) -> Run:
@@ -141,7 +142,7 @@ def write_list(folder: Path, listed: RunList) -> None:
         {"training": run.training.folder.name, "label": run.label, "changed": run.changed, "scores": run.score_names}
         for run in listed.runs
     ]
-    write_json(folder / LIST, {"reference": listed.reference, "jobs": jobs})
+    write_json(folder / LIST, {"reference": listed.reference, "jobs": [*jobs, *listed.unread]})
 
 
 def read_list(study_dir: Path) -> RunList:
@@ -151,7 +152,7 @@ def read_list(study_dir: Path) -> RunList:
     """
     content = known_json(study_dir / COMPARISON / LIST)
     jobs = content.get("jobs")
-    runs, unfinished = [], []
+    runs, unfinished, unread = [], [], []
     for entry in jobs if isinstance(jobs, list) else []:
         try:
             run = _listed_run(study_dir, entry)
@@ -161,9 +162,10 @@ def read_list(study_dir: Path) -> RunList:
         if run.training.is_trained and all(is_whole(run.training.scores / name) for name in run.score_names):
             runs.append(run)
         else:
+            unread.append(entry)
             unfinished.append(f"{run.training.folder.name} ({run.training.why or 'without all of its scores'})")
     reference = content.get("reference", StudySettings.reference)
-    return RunList(study_dir, tuple(runs), tuple(unfinished), str(reference))
+    return RunList(study_dir, tuple(runs), tuple(unfinished), str(reference), tuple(unread))
 
 
 def _listed_run(study_dir: Path, entry: Mapping[str, Any]) -> Run:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from ablate.command.compose import without_repetitions
 from ablate.study.job import Job
+from ablate.study.run import earlier_layout
 from ablate.study.training import State, trainings_in
 from ablate.training import read_checkpoint
 
@@ -22,7 +23,7 @@ def show_progress(jobs: Sequence[Job]) -> int:
     print(shown.drop(columns="seconds").to_string(index=False))
     print(f"\n{_rest(table)}")
     for study in dict.fromkeys(job.settings.study_dir for job in jobs):
-        print(f"runs: {study}")
+        print(" ".join([f"runs: {study}", *earlier_layout(study)]))
     for data in dict.fromkeys(job.data for job in jobs):
         print(f"data: {data.folder} ({'there' if data.exists else 'to be simulated'})")
     return 0
@@ -31,7 +32,7 @@ def show_progress(jobs: Sequence[Job]) -> int:
 def progress(jobs: Sequence[Job]) -> pd.DataFrame:
     """One row a job: job; state, one of `State` or `finished`; done, share of the steps; seconds left.
 
-    The time of a job is the median of the trainings of its label in its study, or of all trainings there, or else NaN.
+    The time of a step is the median of the trainings of its label in its study, or of all trainings there, or else NaN.
     A training that was resumed tells no time.
     """
     times: dict[Path, pd.DataFrame] = {}
@@ -42,17 +43,21 @@ def progress(jobs: Sequence[Job]) -> pd.DataFrame:
             times[study_dir] = _times_in(study_dir)
         known = times[study_dir]
         alike = known["seconds"][known["label"] == job.label]
-        seconds = (alike if len(alike) else known["seconds"]).median()
+        seconds = (alike if len(alike) else known["seconds"]).median() * job.settings.training.steps
         state, done = _state_of(job)
         rows.append({"job": job.name, "state": state, "done": done, "seconds": seconds * (1 - done) if done < 1 else 0})
     return pd.DataFrame(rows)
 
 
 def _times_in(study_dir: Path) -> pd.DataFrame:
-    """How long the trainings of a study took: label and seconds."""
+    """How long a step of the trainings of a study took: label and seconds."""
     finished = [training for training in trainings_in(study_dir) if training.is_trained]
-    rows = [(one.label, one.result["scalars"].get("train/seconds")) for one in finished]
-    return pd.DataFrame(rows, columns=["label", "seconds"]).astype({"seconds": float}).dropna()
+    rows = [
+        (one.label, one.result["scalars"]["train/seconds"] / one.identity["training"]["steps"])
+        for one in finished
+        if "train/seconds" in one.result["scalars"]
+    ]
+    return pd.DataFrame(rows, columns=["label", "seconds"]).astype({"seconds": float})
 
 
 def _state_of(job: Job) -> tuple[str, float]:
