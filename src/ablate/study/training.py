@@ -250,8 +250,7 @@ def begin_folder(study_dir: Path, about: Mapping[str, Any]) -> Training:
     study_dir.mkdir(parents=True, exist_ok=True)
     with FileLock(study_dir / ".claim.lock"):  # two labels of one training have one folder
         training = training_at(study_dir, about["label"], about["seed"], about["hash"])
-        refuse_link(training.folder)
-        for path in training.folder.glob("*"):
+        for path in (training.folder, *training.folder.glob("*")):
             refuse_link(path)
         if training.hash == about["hash"]:
             return training
