@@ -75,7 +75,7 @@ def note_stage(stage, function, arguments):
 
 
 with observe_stages(note_stage):
-    rendered = Simulator(scene, probe, settings).render(pose, seed=run.settings.dataset.seed)
+    rendered = Simulator(scene, probe, settings).render(pose, seed=run.training.settings.dataset.seed)
 print("\n".join(noted))
 
 # %%
