@@ -228,6 +228,17 @@ def test_compare_takes_all_that_is_trained_where_there_is_no_comparison(finished
     assert {one.label for one in read_list(runs / "tiny-fetal").runs} == {"sa2h", "sa2h-att"}
 
 
+def test_compare_takes_the_reference_that_its_command_names(finished: Path, tmp_path: Path) -> None:
+    runs = shutil.copytree(finished, tmp_path / "runs")
+    assert run("task=compare", "reference=sa2h-att", *TINY, f"runs_dir={runs}") == 0
+    assert read_list(runs / "tiny-fetal").reference == "sa2h-att"
+    compared = set(pd.read_csv(runs / "tiny-fetal" / "comparison" / "paired.csv")["variant"])
+    assert "sa2h" in compared
+    assert "sa2h-att" not in compared
+    assert run("task=compare", *TINY, f"runs_dir={runs}") == 0
+    assert read_list(runs / "tiny-fetal").reference == "sa2h-att", "the one that it has"
+
+
 def test_a_job_that_fails_is_said_and_the_others_are_compared(
     runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ablate.analysis import listed
@@ -86,18 +87,22 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
     return ComparableRuns(tuple(runs), tuple(blocks), tuple(notes))
 
 
+def kept_list(study_dir: Path, reference: str) -> RunList:
+    """The runs that the comparison on disk is of; the default `reference` of a command leaves the reference it has."""
+    kept = read_list(study_dir)
+    return kept if reference == StudySettings.reference else replace(kept, reference=reference)
+
+
 def with_earlier(asked: RunList) -> RunList:
     """The runs that a command compares, in view of the comparison that its study has on disk.
 
     They are its own. But repeating some jobs of a sweep does not take the others out of its comparison. And one job
     alone joins the runs that are there, in place of one of its name or its training, unless it differs from them in
-    what no label tells, or in the definition of a metric. A reference that no command named is the kept one.
+    what no label tells, or in the definition of a metric.
     """
-    kept = read_list(asked.folder)
+    kept = kept_list(asked.folder, asked.reference)
     if asked.unfinished or not kept.runs:
         return asked
-    is_named = asked.reference != StudySettings.reference
-    kept = replace(kept, reference=asked.reference if is_named else kept.reference)
     wanted = {(run.training.folder, run.score_names) for run in asked.runs}
     if wanted < {(run.training.folder, run.score_names) for run in kept.runs}:
         return kept

@@ -13,10 +13,10 @@ from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
-from ablate.study.comparable import untold_differences
+from ablate.study.comparable import kept_list, untold_differences
 from ablate.study.job import Job, refuse_lost_network, trainings_of
 from ablate.study.log import Status
-from ablate.study.run import RunList, earlier_layout, listed_runs, read_list, trained_runs
+from ablate.study.run import RunList, earlier_layout, listed_runs, trained_runs
 from ablate.study.training import trainings_in
 
 
@@ -156,7 +156,7 @@ def compare(jobs: Sequence[Job]) -> int:
         settings = group[0].settings
         asked = listed_runs(trainings_of(group))
         if len(jobs) == 1:
-            kept = read_list(settings.study_dir)
+            kept = kept_list(settings.study_dir, settings.reference)
             there = kept if kept.runs else replace(asked, runs=trained_runs(settings.study_dir), unfinished=())
             asked = there if there.runs else asked
         if not asked.runs:
