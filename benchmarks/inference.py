@@ -27,7 +27,7 @@ from ablate.anatomy import load_tissues
 from ablate.command.compose import jobs_of
 from ablate.dataset import label_values
 from ablate.dataset.encoding import HALF_RANGE
-from ablate.networks import Generator, GeneratorSpec, conditions, count_generator, export_onnx
+from ablate.networks import Generator, GeneratorSpec, conditions, count_generator, export_onnx, map_channels
 from ablate.study.provenance import hardware
 from ablate.training import (
     Engine,
@@ -114,7 +114,7 @@ def measure(arguments: argparse.Namespace) -> None:
         print("{}")
         return
     random = torch.Generator().manual_seed(0)
-    channels = dict.fromkeys(conditions(generator.spec), 1) | {"segmentation": generator.labels}
+    channels = {name: map_channels(name, generator.labels) for name in conditions(generator.spec)}
     maps = {name: torch.rand(1, n, height, width, generator=random).to(device) for name, n in channels.items()}
     started = time.perf_counter()
     if arguments.engine is Engine.exported:

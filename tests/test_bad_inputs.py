@@ -74,7 +74,7 @@ def scene_folder(folder: Path, **changes: object) -> None:
 # Each with the words of the answer, as a regular expression.
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
-    (["variant=sa3h"], r"variant=sa3h: allowed are custom, lsa2h, nsa2h, sa2h, "),
+    (["variant=sa3h"], r"variant=sa3h: allowed are custom, full, lsa2h, nsa2h, sa2h, "),
     (["+study=everything"], r"study=everything: allowed are add_one_in, encoding"),
     (["-m", "+study=leave_one_out,table2"], r"\+study=leave_one_out,table2: allowed is one study a command"),
     (["study_name="], r"study_name=''?: allowed are "),  # a shell variable that is not set

@@ -35,13 +35,13 @@ def test_a_sweep_is_the_product_of_its_values() -> None:
         (["model.depth=${levels:8}", "preset=paper"], "sa2h.depth-8"),
         (["model.depth=${levels:4}"], "sa2h"),
         (["model.width=0.5"], "sa2h"),
-        (["model={depth:8,noise:inject,width:0.5}"], "sa2h.depth-8"),
+        (["model={depth:8,noise:body,width:0.5}"], "sa2h.depth-8"),
         (["model={depth:${levels:8},noise:input}"], "sa2h.depth-6.noise-input"),
         (["variant=sa2h-depth", "model.depth=6"], "sa2h-depth"),
         (["variant=sa2h-depth", "model.depth=8"], "sa2h-depth.depth-8"),
         (["encoding=arbitrary", "model.noise=none"], "sa2h.encoding-arbitrary.noise-none"),
         (["training.loss=none"], "sa2h.loss-none"),
-        (["variant=custom", "model.target=my_nets.Net", "model.attenuation=integral"], "Net.attenuation-integral"),
+        (["variant=custom", "model.target=my_nets.Net", "model.attenuation=none"], "Net.attenuation-none"),
         (
             ["variant=custom", "model={target:my_nets.Net,noise:input}", "training.loss=none"],
             "Net.loss-none.noise-input",
@@ -139,7 +139,7 @@ def test_cells_of_a_study_take_more_keys() -> None:
 
 def test_table_2_is_the_papers_variants_and_the_one_of_depth() -> None:
     jobs = jobs_of(["+study=table2", "preset=laptop", "seed=0,1,2"])
-    assert {job.label for job in jobs} == set(variant_names()) - {"sa2h-gan", "sa2h-compensated", "sa2h-printed"}
+    assert {job.label for job in jobs} == set(variant_names()) - {"full", "sa2h-gan", "sa2h-compensated", "sa2h-printed"}
     assert len(jobs) == 24
 
 

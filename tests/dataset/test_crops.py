@@ -25,12 +25,13 @@ from ablate.dataset import (
     network_inputs,
 )
 from ablate.networks import Space
-from ablate.ultrasound import ConvexProbe, compensated_attenuation
+from ablate.ultrasound import ConvexProbe, SimulatorSettings, compensated_attenuation
 
 H, W, FRAMES = 40, 60, 6
 MAPS = frozenset({"segmentation", "attenuation", "target"})
 VALUES = np.linspace(-1, 1, 256, dtype=np.float32)[:, None]
 PROBE, TGC = ConvexProbe(frequency_mhz=3.0), 0.4
+SIMULATED = SimulatorSettings(tgc_db_cm_mhz=TGC)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory, stack: np.ndarray) -> Pairs:
         return {m: stack[frames] / 255 if m == "attenuation" else stack[frames] for m in maps}
 
     list(fill_pairs(made, MAPS, render))
-    return replace(made, probe=PROBE, tgc=TGC)
+    return replace(made, probe=PROBE, simulator=SIMULATED)
 
 
 def crops(pairs: Pairs, in_memory_bytes: int = 1 << 30, **changes: object) -> Crops:
@@ -232,7 +233,7 @@ def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: P
     file = made.shard_file("target", 1)
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(DamagedShardError, match=r"'target' of frames 3 to 5.*task=simulate"):
-        list(CropLoader(crops(replace(made, probe=PROBE, tgc=TGC), in_memory_bytes=0), 0, 50, 2))
+        list(CropLoader(crops(replace(made, probe=PROBE, simulator=SIMULATED), in_memory_bytes=0), 0, 50, 2))
 
 
 def test_memory_stays_flat(pairs: Pairs) -> None:

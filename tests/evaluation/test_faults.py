@@ -28,7 +28,7 @@ def notes_of(images_of: ImageSource, missing: Mapping[Part, dict[str, str]] | No
     """The notes of a run whose scores themselves are left out; frames 0 to 3 validate and 4 to 7 test."""
     of_part = {Part.validation: np.arange(4), Part.test: np.arange(4, 8)}
 
-    def score(part: Part, images_of: ImageSource, _draws_noise: bool) -> Scores:
+    def score(part: Part, images_of: ImageSource, _draws_noise: bool, **_: object) -> Scores:
         images_of(of_part[part], 0)
         no_rows = pd.DataFrame(columns=["frame", "site", "metric", "value"])
         return Scores(no_rows, {}, (missing or {}).get(part, {}))

@@ -7,6 +7,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -105,9 +106,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Part]:
     parts: list[Part] = []
     whole = Scorer.score
 
-    def counted(self: Scorer, part: Part, images_of: ImageSource, draws_noise: bool) -> Scores:
+    def counted(self: Scorer, part: Part, *of: Any, **more: Any) -> Scores:
         parts.append(part)
-        return whole(self, part, images_of, draws_noise)
+        return whole(self, part, *of, **more)
 
     monkeypatch.setattr(Scorer, "score", counted)
     return parts

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
+from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx, map_channels
 from ablate.networks.layers import convolutions
 from ablate.training.inference import openvino_core
 from ablate.ultrasound import ConvexProbe, ScanConverter
@@ -32,15 +32,14 @@ SIZE = (13, 30)
 
 def drawn(name: str) -> Generator:
     torch.manual_seed(0)
-    labels = BEAM_LABELS if name == "beam" else 1
+    labels = BEAM_LABELS if name.startswith("beam") else 1
     return Generator(GeneratorSpec(**{"depth": 2, "width": 0.1, **VARIANTS[name]}), labels)
 
 
 def inputs_of(generator: Generator) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     random = torch.Generator().manual_seed(1)
-    channels = {"segmentation": generator.labels}
-    names = conditions(generator.spec)
-    maps = {name: torch.rand(1, channels.get(name, 1), *SIZE, generator=random) for name in names}
+    channels = {name: map_channels(name, generator.labels) for name in conditions(generator.spec)}
+    maps = {name: torch.rand(1, count, *SIZE, generator=random) for name, count in channels.items()}
     return maps, generator.draw_noise(torch.tensor([5]), *SIZE)
 
 

@@ -5,7 +5,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, conditions, patch_size, receptive_field
+from ablate.networks import (
+    Generator,
+    GeneratorSpec,
+    PatchDiscriminator,
+    conditions,
+    map_channels,
+    patch_size,
+    receptive_field,
+)
 from ablate.networks.families import LocalNetwork
 from support.variants import LABELS, UNET, VARIANTS
 
@@ -40,7 +48,7 @@ def measured_field(spec: GeneratorSpec, labels: int, near: int) -> int:
     width = (near // period + 3) * period
     extents = []
     for phase in range(period) if period <= 16 else (period // 2,):
-        channels = {name: labels if name == "segmentation" else 1 for name in conditions(spec)}
+        channels = {name: map_channels(name, labels) for name in conditions(spec)}
         maps = {
             name: torch.full((1, count, period, width), 1e-3, dtype=torch.float64, requires_grad=True)
             for name, count in channels.items()

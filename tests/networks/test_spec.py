@@ -2,7 +2,16 @@
 
 import pytest
 
-from ablate.networks import GeneratorSpec, conditions, draws_noise, inputs
+from ablate.networks import (
+    GeneratorSpec,
+    conditions,
+    discriminator_channels,
+    draws_noise,
+    input_channels,
+    inputs,
+    judged,
+)
+from ablate.networks.spec import fed_channels
 from support.variants import UNET
 
 
@@ -17,6 +26,8 @@ from support.variants import UNET
         ({**UNET, "upsampling": "texture"}, "upsampling=texture with family=unet: allowed is upsampling=transposed"),
         ({**UNET, "noise": "inject"}, "noise=inject with family=unet"),
         ({**UNET, "family": "custom"}, "target=None with family=custom: allowed is the path of a class"),
+        ({"noise": "body"}, "noise=body with space=image: .* allowed is space=beam"),
+        ({"noise": "body", "space": "beam", "noise_start": 0.1}, "nothing is injected"),
         ({"target": "a.B"}, r"target=a\.B with family=local: allowed is null"),
     ],
 )
@@ -33,6 +44,7 @@ def test_what_is_not_a_network_is_refused_by_name(changes: dict, message: str) -
         ({"attenuation": "compensated"}, ("segmentation", "compensated"), True),
         ({"noise": "input"}, ("segmentation", "attenuation", "noise"), True),
         ({"noise": "none"}, ("segmentation", "attenuation"), False),
+        ({"noise": "body", "space": "beam"}, ("segmentation", "attenuation", "grain"), False),
         ({**UNET, "extra_input": "low"}, ("segmentation", "attenuation", "low"), False),
         ({**UNET, "extra_input": "noise"}, ("segmentation", "attenuation", "noise"), True),
     ],
@@ -42,3 +54,15 @@ def test_inputs_name_the_channels(changes: dict, channels: tuple[str, ...], stoc
     assert inputs(spec) == channels
     assert conditions(spec) == tuple(name for name in channels if name != "noise")
     assert draws_noise(spec) is stochastic
+
+
+@pytest.mark.parametrize("concat", ["every_level", "input"])
+def test_every_convolution_reads_the_grain_and_the_discriminator_does_not(concat: str) -> None:
+    """As injected noise, it does not depend on whether the maps of the anatomy are fed at every level."""
+    spec = GeneratorSpec(noise="body", space="beam", concat=concat, position="beam")
+    anatomy = 3 + len(("attenuation", "depth", "lateral"))
+    fed = fed_channels(spec, labels=3)
+    assert (fed.start, fed.stop) == ((0 if concat == "every_level" else anatomy), anatomy + 4)
+    assert input_channels(spec, labels=3) == anatomy + 4
+    assert judged(spec) == ("segmentation", "attenuation", "depth", "lateral")
+    assert discriminator_channels(spec, labels=3) == anatomy + 1

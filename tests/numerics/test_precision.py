@@ -24,6 +24,7 @@ from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
 from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError
+from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
 from ablate.storage import digest, read_json, write_json
 from ablate.study.work import do
@@ -90,7 +91,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     details = pd.read_csv(trained / "precision" / "details.csv", dtype=str)
     stages = details[(details["table"] == "stage") & (details["setting"] == "width 0.05, fp32, eager, seed 0")]
     paid = stages.set_index("quantity")["value"].astype(float)
-    assert set(paid.index) == {"segmentation", "illumination", "interfaces", "network"}
+    assert set(paid.index) == {"segmentation", "attenuation", "grain", "network"}
     whole = network[network["setting"] == "width 0.05, fp32, eager, seed 0"]["ms"].iloc[0]
     assert paid.sum() == pytest.approx(whole), "all maps are paid for"
     assert {"reference", "convergence", "limit", "stage"} == set(details["table"])
@@ -126,7 +127,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 
     generator = load_generator(job.folder / "last.ckpt")
     beams = [exact.render(pairs.poses[f], s.dataset.seed).beam for f in frames]
-    stacked = {name: np.stack([getattr(b, name) for b in beams]) for name in (*OF_SURFACES, "segmentation")}
+    stacked = {name: np.stack([getattr(b, name) for b in beams]) for name in ("segmentation", "attenuation", "grain")}
     stacked |= {name: np.stack([value] * 2) for name, value in pairs.positions(Space.beam).items()}
     everywhere = np.ones(s.simulator.beam_shape, bool)
     inputs = network_inputs(stacked, label_values(scene.tissues, s.encoding), everywhere)
@@ -139,14 +140,15 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 
 def test_inputs_are_the_maps_of_the_pairs(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    chosen, names = bench_of(job), ("segmentation", *sorted(OF_SURFACES), "depth", "lateral")
+    prepare_data(job.settings, job.data, job.identity["data"], OF_SURFACES)
+    chosen, names = bench_of(job), ("segmentation", *sorted(OF_SURFACES), "depth", "lateral", "grain")
     maps, ms = generated.make_inputs(chosen, names, Space.beam)
     assert set(maps) == set(names)
     for name in names:
         stored = job.data.pairs.read(name, chosen.frames, Space.beam)
         np.testing.assert_allclose(maps[name], stored, atol=0.51 / 255 if name in OF_SURFACES else 0)
         assert len(np.unique(stored)) > 3
-    assert set(ms) == {"segmentation", *OF_SURFACES}
+    assert set(ms) == {"segmentation", "grain", *OF_SURFACES}
     of_image, paid = generated.make_inputs(chosen, ("segmentation", "compensated"), Space.image)
     assert of_image["compensated"].shape[1:] == job.settings.simulator.image_shape
     assert (of_image["compensated"] > 0).mean() > 0.2

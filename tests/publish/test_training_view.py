@@ -78,7 +78,7 @@ def test_a_run_has_what_is_in_the_folder_of_its_training(runs: Path) -> None:
 def test_parameters_are_what_people_sort_by_and_the_study_has_only_its_scene(stopped_once: Job) -> None:
     """Settings of a study are those of its first command, and a later one may have others."""
     shown = active_runs(stopped_once.settings.results)
-    components = {"family": "local", "att": "illumination", "concat": "yes", "conv": "yes", "noise": "inject"}
+    components = {"family": "local", "att": "integral", "concat": "yes", "conv": "yes", "noise": "body"}
     sizes = {"preset": "tiny", "dataset.frames": "10", "training.steps": "4", "training.batch_size": "1"}
     others = {"variant": "sa2h", "seed": "0", "training.precision": "fp32", "scene.anatomy_seed": "0"}
     more = {"simulator.rays": "2", "dataset.split": "site", "model.width": "0.05"}

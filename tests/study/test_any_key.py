@@ -38,7 +38,7 @@ def answered(jobs: Sequence[Job]) -> tuple[StudyResults, tuple[Run, ...]]:
 @pytest.mark.parametrize(
     ("word", "labels"),
     [
-        ("training.reconstruction=crps,l1", ["sa2h", "sa2h.reconstruction-l1"]),
+        ("training.reconstruction=l1,crps", ["sa2h", "sa2h.reconstruction-crps"]),
         ("training.learning_rate=1e-3,1e-4", ["sa2h", "sa2h.learning_rate-0.0001"]),
         ("dataset.frames=12,10", ["sa2h", "sa2h.frames-10"]),
     ],

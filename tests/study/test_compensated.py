@@ -27,7 +27,7 @@ def test_it_reads_what_the_frames_were_simulated_with_and_is_scored(tiny_study: 
     training, (scene, _) = pairs.poses[pairs.frames(Part.train)], source_of(settings).scene()
     gain = with_patient_gain(scene, settings.probe, settings.simulator, training).time_gain_db
     assert settings.simulator.tgc is TimeGain.patient
-    assert gain == pairs.tgc == job.data.time_gain_db
+    assert gain == pairs.simulator.time_gain_db == job.data.time_gain_db
     frames = pairs.frames(Part.test)
     expected = compensated_attenuation(pairs.read("attenuation", frames), settings.probe, gain)
     np.testing.assert_allclose(pairs.read("compensated", frames), expected, atol=0.6 / 65535)

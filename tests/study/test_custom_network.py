@@ -35,8 +35,8 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     known = read_json(folder / "training.json")["identity"]["model"]
     assert known["target"] == "toy_networks.Toy"
     assert len(known["source"]) == 64
-    # weights and biases of its two convolutions: S and A in
-    assert read_json(folder / "trained.json")["scalars"]["parameters_generator"] == 7 * 8 * 9 + 8 + 8 * 9 + 1
+    # weights and biases of its two convolutions: S, A and two maps of position in
+    assert read_json(folder / "trained.json")["scalars"]["parameters_generator"] == 4 * 8 * 9 + 8 + 8 * 9 + 1
     assert set(pd.read_csv(study / "comparison/table.csv")["variant"]) >= {"Toy"}
 
     module.write_text(

@@ -228,8 +228,8 @@ def test_a_network_has_the_time_of_its_own_maps_whoever_stands_beside_it(
 
     monkeypatch.setattr(frame_times, "_map_maker", watched)
     assert time_networks(study, runs_of(study)) == ""
-    without = ("segmentation", "attenuation")
-    assert {read for _, read in names} == {without, (*without, "interfaces")}
+    with_surfaces = ("segmentation", "attenuation", "interfaces", "grain")
+    assert {read for _, read in names} == {with_surfaces, tuple(n for n in with_surfaces if n != "interfaces")}
     assert len({turn for turn, _ in names}) == len(names), "a pose of its own, or the simulator would remember"
 
 

@@ -6,7 +6,7 @@ import hashlib
 import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,6 +53,12 @@ class Scene:
 
     Without structures the scene is all background. Structures or a background of another kind are a TypeError.
 
+    Attributes
+    ----------
+    body : (4, 4) float64
+        Rigid transform from the body's axes, which its scatterers and textures are fixed to, to the world's, mm. It is
+        the identity unless the scene is one that was `moved`.
+
     Examples
     --------
     >>> import trimesh
@@ -67,6 +73,7 @@ class Scene:
     structures: tuple[Structure, ...]
     background: Tissue
     name: str
+    body: np.ndarray = field(default_factory=partial(np.eye, 4), compare=False, repr=False)
     looked_at: bool = field(default=False, init=False, compare=False, repr=False)  # whether `warn_of_overlaps` did
 
     def __post_init__(self) -> None:
@@ -75,6 +82,15 @@ class Scene:
             raise TypeError("scene: structures must be a tuple of Structure")
         if not isinstance(self.background, Tissue):
             raise TypeError(f"scene: background must be a Tissue, not {self.background!r}; load_tissues() has them")
+
+    def moved(self, motion: np.ndarray) -> Scene:
+        """The scene after a rigid motion, (4, 4) float, mm in the world: scatterers and textures move with the body."""
+        structures = []
+        for structure in self.structures:
+            mesh = structure.mesh.copy()
+            mesh.apply_transform(motion)
+            structures.append(Structure(mesh, structure.tissue))
+        return Scene(tuple(structures), self.background, self.name, np.asarray(motion, np.float64) @ self.body)
 
     @cached_property
     def tissues(self) -> tuple[Tissue, ...]:

@@ -3,6 +3,9 @@
 The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
 `simulator.image_shape`: `${levels:4}` and `${crop:}`. That shape is `${fan_shape:256}`, the fan in so many rows,
 or for pairs made elsewhere `${png_shape:}`. No pulse is finer than the frame can show: `${two_pixels:0.3}`.
+
+Where networks know the scatterers, their noise is the lattice: `${noise:inject}` and, of U-Nets, `${noise:none}` with
+`${extra_noise:}`.
 """
 
 import math
@@ -12,8 +15,8 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from ablate.networks.spec import DEPTHS, GeneratorSpec, Space
-from ablate.training.settings import SMALLEST_CROP, TrainingSettings
+from ablate.networks.spec import DEPTHS, ExtraInput, GeneratorSpec, Noise, Space
+from ablate.training.settings import SMALLEST_CROP, Reconstruction, TrainingSettings
 from ablate.ultrasound.probe import fan_of, square_pixels
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, probe_from
 
@@ -52,6 +55,8 @@ def register_resolvers() -> None:
         "levels": lambda at_paper, *, _root_: levels(int(at_paper), _rows(_root_)),
         # the side of a crop of an image; in beam space 0, whole frames
         "crop": lambda *, _root_: 0 if str(_root_.model.space) == Space.beam else crop(_rows(_root_)),
+        "noise": lambda by_pixel, *, _root_: str(Noise.body if _knows_scatterers(_root_) else by_pixel),
+        "extra_noise": lambda *, _root_: str(ExtraInput.none if _knows_scatterers(_root_) else ExtraInput.noise),
         "png_shape": _png_shape,
         # an image of the probe's fan with so many rows and square pixels
         "fan_shape": lambda rows, *, _root_: list(square_pixels(_probe(_root_), int(rows))),
@@ -62,6 +67,13 @@ def register_resolvers() -> None:
     }
     for name, resolver in resolvers.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
+
+
+def _knows_scatterers(root: DictConfig) -> bool:
+    """Whether noise can be the lattice of scatterers: in beam space, of simulated frames, with a loss of one draw."""
+    in_beam_space = str(root.model.space) == Space.beam
+    of_one_draw = str(root.training.reconstruction) != Reconstruction.crps
+    return in_beam_space and of_one_draw and str(root.scene.kind) != "pairs"
 
 
 def _probe(root: DictConfig) -> Probe:

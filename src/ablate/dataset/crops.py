@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
-from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
+from ablate.dataset.encoding import decode_attenuation, encode_grey_levels, grain_channels
+from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES, Space, map_channels
 from ablate.setting import Checked, setting
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
     Item `step` holds `segmentation`, (N, channels, h, w) float32 in [-1, 1]; `target` and the other `maps`,
-    (N, 1, h, w) float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`,
-    (N, 1, h, w) float32; and `noise_seed`, (N,) int64.
+    (N, 1, h, w) float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0), of which
+    `grain` has four channels; `mask`, (N, 1, h, w) float32; and `noise_seed`, (N,) int64.
 
     Parameters
     ----------
@@ -91,12 +91,15 @@ class Crops:
         self._in_memory = {name: self._stored(name, self.frames[: self._kept]) for name in self.names}
 
     def _stored(self, name: str, frames: np.ndarray) -> np.ndarray:
+        if name == GRAIN:
+            grain = self.pairs.read(name, np.atleast_1d(frames), self.settings.space)
+            return grain if np.ndim(frames) else grain[0]
         return self.pairs.stored(name, frames, self.settings.space)
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
         count = self.settings.batch_size
-        channels = dict.fromkeys(("mask", *self.names, *self.positions), 1)
-        channels["segmentation"] = self.values.shape[1]
+        labels = self.values.shape[1]
+        channels = {name: map_channels(name, labels) for name in ("mask", *self.names, *self.positions)}
         arrays = {name: np.empty((count, several, *self.size), np.float32) for name, several in channels.items()}
         seeds = [self._fill(arrays, step, index) for index in range(count)]
         batch = {name: torch.from_numpy(array) for name, array in arrays.items()}
@@ -121,6 +124,8 @@ class Crops:
             if name == "segmentation":
                 for channel, values in enumerate(self.values.T):
                     np.take(values, cut, out=batch[name][index, channel])
+            elif name == GRAIN:
+                batch[name][index] = grain_channels(cut)
             elif cut.dtype == np.uint16:  # attenuation
                 decode_attenuation(cut, out=place)
             elif name in OF_SURFACES:
@@ -157,8 +162,9 @@ class Crops:
         row, column = corner
         height, width = self.size
         cut = image[row : row + height, column : column + width]
-        if cut.shape != self.size:
-            cut = np.pad(cut, ((0, height - cut.shape[0]), (0, width - cut.shape[1])))
+        if cut.shape[:2] != self.size:
+            beyond = ((0, height - cut.shape[0]), (0, width - cut.shape[1]))
+            cut = np.pad(cut, beyond + ((0, 0),) * (cut.ndim - 2))
         return cut[:, ::-1] if mirror else cut
 
 

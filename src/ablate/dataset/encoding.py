@@ -15,6 +15,7 @@ import numpy as np
 
 from ablate.anatomy import Tissue, TissueKind, echogenicity_order
 from ablate.dataset.split import Drawn
+from ablate.networks.spec import GRAIN
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -134,17 +135,27 @@ def decode_attenuation(stored: np.ndarray, out: np.ndarray | None = None) -> np.
     return np.divide(stored, ATTENUATION_SCALE, out=out, dtype=np.float32)
 
 
+def grain_channels(grain: np.ndarray) -> np.ndarray:
+    """Grain, (..., rows, scanlines, 2) complex64, as networks read it: (..., 4, rows, scanlines) float32.
+
+    Real and imaginary part of the first value of each row, then of the second.
+    """
+    return np.moveaxis(grain.view(np.float32), -1, -3)
+
+
 def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:
     """Convert maps, (k, H, W) each, to what the networks read, (k, 1, H, W) float32 each.
 
     `maps` holds `segmentation` uint8, of which there are as many channels as `values`, (labels, channels) float32 of
-    `label_values`, has; and, where they are wanted, `low` uint8 and the other maps as float32. Outside of `mask`,
-    (H, W) or (k, H, W) bool, `low` is black.
+    `label_values`, has; and, where they are wanted, `low` uint8, `grain` complex64, which becomes four channels, and
+    the other maps as float32. Outside of `mask`, (H, W) or (k, H, W) bool, `low` is black.
     """
     import torch
 
     read = {name: value[:, None] for name, value in maps.items()}
     read["segmentation"] = np.ascontiguousarray(np.moveaxis(values[maps["segmentation"]], -1, -3))
+    if GRAIN in maps:
+        read[GRAIN] = np.ascontiguousarray(grain_channels(maps[GRAIN]))
     if "low" in maps:
         read["low"] = np.where(mask, encode_grey_levels(maps["low"]), np.float32(-1))[:, None]
     return {name: torch.from_numpy(value) for name, value in read.items()}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
+from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES, Space
 from ablate.ultrasound import Beam, Probe, compensated_attenuation, compensated_beam, position_maps, scan_converter
 
 #: S and A of an image, and the frame in beam space.
@@ -31,8 +31,13 @@ def maps_read(
 
     Returns
     -------
-    dict of str to (H, W) or (rows, scanlines)
+    dict of str to (H, W) or (rows, scanlines), of grain (rows, scanlines, 2)
         By name, in the order of the names.
+
+    Raises
+    ------
+    ValueError
+        Where the grain is wanted and the frame has none.
     """
     of_image, attenuation_of_image, beam = maps
     image_shape = of_image.shape[:2]
@@ -48,6 +53,10 @@ def maps_read(
     for name in OF_SURFACES & set(names):
         echo = getattr(beam, name)
         read[name] = echo if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(echo)
+    if GRAIN in names:
+        if not beam.grain.size:
+            raise ValueError("the frame has no grain, which this generator reads: `Simulator.grain` makes it")
+        read[GRAIN] = beam.grain
     if OF_POSITION & set(names):
         read |= position_maps(probe, None if in_beam else image_shape, beam_shape)
     return {name: read[name] for name in names if name in read}

@@ -16,14 +16,14 @@ import numpy as np
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
 from ablate.dataset.zarr_v3 import open_array, read_whole
-from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
+from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES, Space
 from ablate.setting import shown
 from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps
 
 if TYPE_CHECKING:
     import zarr
 
-    from ablate.ultrasound import ScanConverter
+    from ablate.ultrasound import ScanConverter, SimulatorSettings
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 6
@@ -76,8 +76,10 @@ class Pairs:
         None where the geometry of the fan is not known; then there are images alone.
     beam_shape : (rows, scanlines)
         Of frames in beam space.
-    tgc : float or sequence of floats or None
-        Time gain that the frames were simulated with, for `compensated`; None where it is not known.
+    simulator : SimulatorSettings or None
+        What the frames were simulated with, for `compensated` and `grain`; None where it is not known.
+    seed : int
+        Of the scatterers.
     """
 
     folder: Path
@@ -90,7 +92,8 @@ class Pairs:
     space: Space = Space.image
     probe: Probe | None = None
     beam_shape: tuple[int, int] = (0, 0)
-    tgc: float | tuple[float, ...] | None = None
+    simulator: SimulatorSettings | None = None
+    seed: int = 0
 
     def __len__(self) -> int:
         return len(self.sites)
@@ -208,10 +211,10 @@ class Pairs:
         return converted if converted.dtype == frame.dtype else np.rint(converted).astype(frame.dtype)
 
     def _compensated(self, stack: np.ndarray, space: Space) -> np.ndarray:
-        if self.probe is None or self.tgc is None:
+        if self.probe is None or self.simulator is None:
             raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
         compensate = compensated_attenuation if space == Space.image else compensated_beam
-        shares = compensate(decode_attenuation(stack), self.probe, self.tgc)
+        shares = compensate(decode_attenuation(stack), self.probe, self.simulator.time_gain)
         return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
 
     def _of_shard(self, name: str, shard: int, frames: slice) -> np.ndarray:
@@ -239,7 +242,7 @@ class Pairs:
         Parameters
         ----------
         name : str
-            Of the map: a key of `FORMATS` or of `DERIVED`, or `depth` or `lateral`.
+            Of the map: a key of `FORMATS` or of `DERIVED`, or `depth`, `lateral` or `grain`.
         frames : (k,) int
             Numbers of frames.
         space : Space
@@ -249,14 +252,25 @@ class Pairs:
         -------
         (k, H, W) or, in beam space, (k, rows, scanlines)
             Labels and grey levels are uint8. Attenuation, interfaces and illumination are float32 in [0, 1], and the
-            maps of position, `depth` and `lateral`, float32 in [-1, 1].
+            maps of position, `depth` and `lateral`, float32 in [-1, 1]. Grain, of beam space alone, is
+            (k, rows, scanlines, 2) complex64.
         """
+        if name == GRAIN:
+            return np.stack([self._grain(frame) for frame in self._checked(np.asarray(frames), frames)])
         if name in OF_POSITION:
             return np.broadcast_to(self.positions(space)[name], (len(frames), *self.shape_in(space))).copy()
         stored = self.stored(name, frames, space)
         if stored.dtype == np.uint16:
             return decode_attenuation(stored)
         return stored / np.float32(255) if name in OF_SURFACES else stored
+
+    def _grain(self, frame: int) -> np.ndarray:
+        """The lattice of scatterers that a frame's pose sees; it takes less time than reading it would."""
+        from ablate.ultrasound import grain  # here, because it is compiled
+
+        if self.simulator is None:
+            raise ValueError(f"{self.folder}: grain needs the probe and the settings of the simulation")
+        return grain(self.poses[frame], self._geometry, self.simulator, self.seed)
 
     def positions(self, space: Space = Space.image) -> dict[str, np.ndarray]:
         """The maps of position, by name."""

@@ -20,13 +20,19 @@ from ablate.dataset.frame_maps import maps_read
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.split import Part, resimulation_seed
-from ablate.networks.spec import OF_SURFACES, Space
+from ablate.networks.spec import GRAIN, OF_SURFACES, Space
 from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
 Timed = tuple[dict[str, np.ndarray], dict[str, float]]  # maps, and the milliseconds of each
 _NUDGE_MM = 1e-3
-_OF_LABELS = (Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum, Stage.scan_conversion)
+_OF_OTHERS = (
+    Stage.pixel_labels,
+    Stage.attenuation_labels,
+    Stage.attenuation_sum,
+    Stage.grain,
+    Stage.scan_conversion,
+)  # than surfaces
 _WITHOUT_IMAGE = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # maps without an image
 
 
@@ -195,6 +201,8 @@ def timed_maps(
         with stage_times() as stages:
             start = time.perf_counter()
             beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)))
+            if GRAIN in names:
+                beam = replace(beam, grain=simulator.grain(pose, seed))
             segmentation, attenuation = simulator.maps(pose) if of_image else (nothing, nothing)
             maps = maps_read(names, space, (segmentation, attenuation, beam), probe, settings.time_gain)
             whole_ms = 1e3 * (time.perf_counter() - start)
@@ -216,7 +224,8 @@ def _shares(
     of_labels = Stage.pixel_labels if space is Space.image else Stage.attenuation_labels
     of_maps = {
         "segmentation": sum(stages[of_labels]),
-        "interfaces": sum(ms for stage in Stage if stage not in _OF_LABELS for ms in stages[stage]),
+        "interfaces": sum(ms for stage in Stage if stage not in _OF_OTHERS for ms in stages[stage]),
+        GRAIN: sum(stages[Stage.grain]),
     }
     at_once = max(1.0, sum(map(sum, stages.values())) / whole_ms)
     times = {name: ms / at_once for name, ms in of_maps.items() if name in names}

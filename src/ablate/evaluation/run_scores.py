@@ -46,7 +46,8 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
 
 
 def _score_resimulation(scorer: Scorer, part: Part) -> Scores:
-    return scorer.score(part, resimulation_images(scorer.pairs), draws_noise=True)
+    moved_images = None if scorer.moved is None else resimulation_images(scorer.moved.pairs)
+    return scorer.score(part, resimulation_images(scorer.pairs), draws_noise=True, moved_images=moved_images)
 
 
 def _kept_scores(scorer: Scorer, part: Part) -> dict[str, Scores]:
@@ -84,19 +85,22 @@ def _write_kept(file: Path, scores: Scores) -> None:
     write_json(file, {"per_image": per_image, "scalars": scores.scalars, "missing": scores.missing})
 
 
-def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
+def score_run(
+    scorer: Scorer, images_of: ImageSource, draws_noise: bool, moved_images: ImageSource | None = None
+) -> Scores:
     """Score a generator on validation and test frames, and re-simulation where the data set has it.
 
     Which metrics are asked for is said by `scorer.metrics`, and `Scores.of_metric` gives those of each. They are the
     same whichever others are asked for. What is said about the generator's output, which share of it was clipped and
-    whether a frame differs when it is rendered again with the same noise, is of the test frames.
+    whether a frame differs when it is rendered again with the same noise, is of the test frames. `moved_images` renders
+    the frames of `scorer.moved`.
     """
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
     missing: dict[Part, dict[str, str]] = {}
     for part, prefix in PREFIXES.items():
         with counted_clipping() as clipping:
-            scored = {MODEL: scorer.score(part, images_of, draws_noise)}
+            scored = {MODEL: scorer.score(part, images_of, draws_noise, moved_images=moved_images)}
         if "resimulation" in scorer.pairs.maps:
             scored[RESIMULATED] = resimulation_scores(scorer, part)
         for source, scores in scored.items():

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset import Part
+from ablate.evaluation.moved import motion_values
 from ablate.evaluation.scores import Scores, not_computed, without_values
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import (
@@ -34,6 +35,7 @@ from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 if TYPE_CHECKING:
     from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
+    from ablate.dataset.motion import Moved
 
 #: What gives images for frames: (numbers of the frames (k,), number of the noise draw) -> (k, H, W) uint8.
 ImageSource = Callable[[np.ndarray, int], np.ndarray]
@@ -82,6 +84,8 @@ class Scorer:
         Those that are asked for, by name.
     inception : InceptionFeatures or None
         From `load_inception`; without it there is no FID and no KID.
+    moved : Moved or None
+        Some test frames after motions of the probe, where there are such.
     """
 
     pairs: Pairs
@@ -90,6 +94,7 @@ class Scorer:
     settings: EvaluationSettings = EvaluationSettings()
     metrics: Mapping[str, Metric] = field(default_factory=choose_metrics)
     inception: InceptionFeatures | None = None
+    moved: Moved | None = None
 
     @cached_property
     def _mask(self) -> np.ndarray:
@@ -103,7 +108,14 @@ class Scorer:
         shape = self.pairs.shape
         return {"depth_mm": pixel_polar(self.probe, shape)[0], "pixel_mm": pixel_size_mm(self.probe, shape)}
 
-    def score(self, part: Part, images_of: ImageSource, draws_noise: bool, frames: np.ndarray | None = None) -> Scores:
+    def score(
+        self,
+        part: Part,
+        images_of: ImageSource,
+        draws_noise: bool,
+        frames: np.ndarray | None = None,
+        moved_images: ImageSource | None = None,
+    ) -> Scores:
         """Score images of the frames of one part, in as many threads as torch is set to use.
 
         Parameters
@@ -116,6 +128,8 @@ class Scorer:
             Whether a second noise draw can give another image; where it cannot, each frame is rendered once.
         frames : (k,) int, optional
             Numbers of some frames of the part; all without it.
+        moved_images : ImageSource, optional
+            What renders the frames of `moved`; without it the metrics of motion are left out.
 
         Returns
         -------
@@ -132,13 +146,18 @@ class Scorer:
                 batches.append(self._score_batch(batch, self._drawn(batch, images_of, draws_noise), computed))
                 bar.update(len(batch))
         sites = self.pairs.sites[frames]
-        per_image = _table(part, frames, sites, [values for batch in batches for values in batch.values])
+        values = [values for batch in batches for values in batch.values]
+        if self.moved is not None and moved_images is not None and part is Part.test:
+            of_motion = motion_values(computed, self.moved, self.tissues, images_of, moved_images)
+            values = [of_frame | of_motion.get(int(k), {}) for k, of_frame in zip(frames, values, strict=True)]
+        per_image = _table(part, frames, sites, [self._in_order(of_frame) for of_frame in values])
         scalars = _means(per_image)
         for kind in (FeatureKind.speckle, FeatureKind.inception):
             of_kind = [metric for metric in computed if metric.uses(kind)]
             if of_kind:
                 scalars |= _distances(of_kind, [batch.features[kind] for batch in batches], sites)
-        return Scores(per_image, scalars, missing | without_values(computed, per_image))
+        of_frames = [metric for metric in computed if not metric.of_motion or part is Part.test]
+        return Scores(per_image, scalars, missing | without_values(of_frames, per_image))
 
     def _drawn(self, frames: np.ndarray, images_of: ImageSource, draws_noise: bool) -> np.ndarray:
         """Images of some frames with as many draws of the noise as the metrics read, (k, draws, H, W) uint8."""
@@ -180,11 +199,14 @@ class Scorer:
         except Exception as error:
             error.add_note(f"of frame {frame}")
             raise
-        in_order = {name: values[name] for name in self.metrics if name in values}
         if not with_texture:
-            return in_order, (np.empty(0), np.empty(0))
+            return values, (np.empty(0), np.empty(0))
         of_image, of_target = (speckle_features(shown[None], self._mask) for shown in (pair.prediction, pair.target))
-        return in_order, (of_image, of_target)
+        return values, (of_image, of_target)
+
+    def _in_order(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values of a frame in the order of the metrics."""
+        return {name: values[name] for name in self.metrics if name in values}
 
     def _pair(self, frame: int, image: np.ndarray) -> Pair:
         """An image beside its target, with the maps that the data set has of the frame."""

@@ -125,6 +125,9 @@ def not_computed(
 
 def without_values(metrics: Collection[Metric], per_image: pd.DataFrame) -> dict[str, str]:
     """The reason, the end of a sentence, why metrics of images have no value of any frame, by their names."""
-    what = "bone, shadow, tissue, patches in the fan, a map of attenuation, or a known depth of the pixels"
+    what = (
+        "bone, shadow, tissue, patches in the fan, a map of attenuation, a known depth of the pixels, or the same "
+        "frame after a motion"
+    )
     names = {metric.name for metric in metrics if not metric.of_set} - set(per_image["metric"])
     return dict.fromkeys(sorted(names), f"as no frame has what is needed ({what})")

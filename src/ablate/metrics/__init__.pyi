@@ -13,6 +13,7 @@ from .metric import FeatureKind as FeatureKind
 from .metric import Group as Group
 from .metric import ImageMetric as ImageMetric
 from .metric import Metric as Metric
+from .metric import MovedPair as MovedPair
 from .metric import Pair as Pair
 from .metric import Resimulation as Resimulation
 from .metric import SetDistance as SetDistance

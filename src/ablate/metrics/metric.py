@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import Enum, Flag, StrEnum, auto
 from functools import cached_property
@@ -145,7 +145,35 @@ def _check_array(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
         raise ValueError(f"{name} must be finite")
 
 
+@dataclass(frozen=True, eq=False)
+class MovedPair:
+    """An image before and after a known motion of the probe, both rendered with the same noise.
+
+    Attributes
+    ----------
+    before, after : (H, W) uint8
+        Grey levels.
+    mask : (H, W) bool
+        The fan.
+    tissue_mask : (H, W) bool
+        Pixels of soft tissue after the motion.
+    rows_before, columns_before : (H, W) float, px
+        Where the image before shows what each pixel shows after.
+    in_plane : bool
+        Whether the image plane still shows the same points of the body.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    mask: np.ndarray
+    tissue_mask: np.ndarray
+    rows_before: np.ndarray
+    columns_before: np.ndarray
+    in_plane: bool
+
+
 ImageMetric = Callable[[Pair], float | None]
+MotionMetric = Callable[[Sequence[MovedPair]], float | None]
 
 
 @dataclass(frozen=True)
@@ -187,6 +215,9 @@ class Metric:
         A distance between all rendered images and all targets.
     of_draws : callable, optional
         As `of_image`, of a pair that has draws. Frames are rendered with more than one draw of noise only for it.
+    of_motion : callable, optional
+        Takes a sequence of `MovedPair`, one a motion of a frame, and gives a value or None. Only frames of a simulator
+        can be moved.
     place : float
         Tables and figures are in rising order of it.
     """
@@ -203,6 +234,7 @@ class Metric:
     of_image: ImageMetric | None = None
     of_set: SetDistance | None = None
     of_draws: ImageMetric | None = None
+    of_motion: MotionMetric | None = None
     place: float = math.inf
 
     def __post_init__(self) -> None:
@@ -217,7 +249,7 @@ class Metric:
     @property
     def computed(self) -> bool:
         """Whether an evaluation computes it from images."""
-        return any([self.of_image, self.of_set, self.of_draws])
+        return any([self.of_image, self.of_set, self.of_draws, self.of_motion])
 
     def uses(self, features: FeatureKind) -> bool:
         """Whether it is a distance of these features."""

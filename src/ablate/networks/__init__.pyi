@@ -24,3 +24,5 @@ from .spec import conditions as conditions
 from .spec import draws_noise as draws_noise
 from .spec import input_channels as input_channels
 from .spec import inputs as inputs
+from .spec import judged as judged
+from .spec import map_channels as map_channels

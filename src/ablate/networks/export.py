@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from ablate.extras import installing
 from ablate.networks.generator import Generator
-from ablate.networks.spec import Space, conditions
+from ablate.networks.spec import Space, conditions, map_channels
 from ablate.storage import written_whole
 
 OPSET = 18
@@ -24,11 +24,11 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     """Write a generator, in evaluation mode, as one ONNX file for frames of one size, batch 1, float32.
 
     The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each but for the channels of
-    the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for
-    example of `generator.draw_noise`, or zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1],
-    not masked, in the space that the generator works in; with `places` the file also contains the scan conversion, and
-    the output is the image, -1 outside the fan. The metadata hold the specification as JSON under `spec`, and the
-    number of channels of the segmentation under `labels`.
+    the segmentation and of the grain. The noise fields of `generator.noise_sizes(height, width)` follow: standard
+    normal numbers, for example of `generator.draw_noise`, or zeros to switch the noise off. The output `image` is
+    (1, 1, H, W) in [-1, 1], not masked, in the space that the generator works in; with `places` the file also contains
+    the scan conversion, and the output is the image, -1 outside the fan. The metadata hold the specification as JSON
+    under `spec`, and the number of channels of the segmentation under `labels`.
 
     Parameters
     ----------
@@ -57,8 +57,7 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
         raise ValueError(f"places: allowed with model.space=beam, not {generator.spec.space}")
     device = next(generator.parameters()).device
     frame = _Frame(deepcopy(generator), height, width, places).to(device).eval()
-    channels = {"segmentation": generator.labels}
-    map_shapes = [(1, channels.get(name, 1), height, width) for name in frame.maps]
+    map_shapes = [(1, map_channels(name, generator.labels), height, width) for name in frame.maps]
     noise_shapes = [(1, 1, *size) for size in frame.sizes.values()]
     arguments = tuple(torch.zeros(shape, device=device) for shape in (*map_shapes, *noise_shapes))
     names = [*frame.maps, *frame.sizes]

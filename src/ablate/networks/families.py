@@ -24,9 +24,11 @@ from ablate.networks.spec import (
     Grain,
     Noise,
     Upsampling,
-    conditions,
     fed_channels,
     input_channels,
+    judged,
+    map_channels,
+    rows_of_a_cell,
     scaled,
 )
 
@@ -114,7 +116,8 @@ class LocalNetwork(nn.Module):
         super().__init__()
         channels = (LOCAL_WIDTHS + LOCAL_WIDTHS[-1:] * spec.depth)[: spec.depth + 1]
         widths = [scaled(count, spec.width) for count in channels]
-        maps = fed_channels(spec, labels)
+        fed = fed_channels(spec, labels)
+        maps = fed.stop - fed.start
         self.stem = nn.Conv2d(input_channels(spec, labels), widths[0], 3, padding=1)
         self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
         self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
@@ -125,10 +128,12 @@ class LocalNetwork(nn.Module):
         if spec.grain is Grain.refine:
             self.grain = JointConvolution(2 * widths[0] + maps, widths[0], 3, padding=1)
             last_features = widths[0]
-        self.output = JointConvolution(last_features + maps, 1, 3, padding=1)
+        self.output = JointConvolution(last_features + maps, rows_of_a_cell(spec), 3, padding=1)
 
     def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
         """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (k N, 1, H, W) in [-1, 1].
+
+        The output has two channels where rows are folded.
 
         The convolutions of each level, except the stem, read its maps, depth + 1 of (N, K, H / 2^level, W / 2^level).
         Its noise, depth of (k N, 1, H / 2^level, W / 2^level), is injected; what comes before the noise is computed
@@ -175,7 +180,7 @@ class UNetwork(nn.Module):
         self.down = nn.ModuleList(
             nn.Conv2d(channels_in, channels_out, 4, stride=2, padding=1) for channels_in, channels_out in shrink
         )
-        grown = (*reversed(widths[:-1]), 1)
+        grown = (*reversed(widths[:-1]), rows_of_a_cell(spec))
         read = (widths[-1], *(2 * width for width in grown[:-1]))  # each but the first with its skip connection
         self.up = nn.ModuleList(
             JointTransposedConvolution(channels_in, channels_out, 4, stride=2, padding=1)
@@ -183,7 +188,10 @@ class UNetwork(nn.Module):
         )
 
     def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
-        """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
+        """Render (N, inputs, H, W) to (N, 1, H, W) in [-1, 1], of folded rows two channels.
+
+        H and W are multiples of 2^depth.
+        """
         skips = [self.down[0](stacked)]
         for layer in self.down[1:-1]:
             skips.append(instance_norm(layer(F.leaky_relu(skips[-1], LEAK))))
@@ -237,4 +245,4 @@ class PatchDiscriminator(nn.Module):
 
 def discriminator_channels(spec: GeneratorSpec, labels: int = 1) -> int:
     """Count the input channels of this generator's discriminator: its conditions, and the image."""
-    return labels + len(conditions(spec))
+    return sum(map_channels(name, labels) for name in judged(spec)) + 1

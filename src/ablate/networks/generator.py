@@ -10,7 +10,17 @@ from torch.nn import functional as F
 from ablate.networks.custom import CustomNetwork
 from ablate.networks.families import LocalNetwork, UNetwork
 from ablate.networks.layers import area_means, draw_initial_weights, laid_out
-from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, fed_channels, inputs
+from ablate.networks.spec import (
+    DEPTHS,
+    Family,
+    GeneratorSpec,
+    Noise,
+    conditions,
+    fed_channels,
+    inputs,
+    map_channels,
+    rows_of_a_cell,
+)
 
 # The value of each map outside the fan, also used for padding.
 OUTSIDE = {"segmentation": -1.0, "low": -1.0}  # and 0 of all others
@@ -73,7 +83,8 @@ class Generator(nn.Module):
             One seed for all noise of each rendering: the first N are one of each sample, the next N another. None
             switches noise off (fields of zero); k is 1 then, and where the variant draws none.
         **others : (N, 1, H, W) float, optional
-            `compensated`, `illumination` and `interfaces` in [0, 1], `depth` and `lateral` in [-1, 1].
+            `compensated`, `illumination` and `interfaces` in [0, 1], `depth` and `lateral` in [-1, 1]; and `grain`,
+            (N, 4, H, W), real and imaginary parts of the lattice of scatterers.
 
         Returns
         -------
@@ -94,29 +105,32 @@ class Generator(nn.Module):
 
     def render(self, given: Mapping[str, Tensor | None], noise: Mapping[str, Tensor]) -> Tensor:
         """Render as `forward`, with fields (k N, 1, h, w) of `noise_sizes(H, W)`; an empty mapping is no noise."""
-        maps = stacked = self._padded(given)
+        each = rows_of_a_cell(self.spec)
+        maps = stacked = folded(self._padded(given), each)
         if "noise" in inputs(self.spec):
-            channel = noise["noise"].to(maps.dtype) if noise else torch.zeros_like(maps[:, :1])
+            channel = folded(noise["noise"].to(maps.dtype), each) if noise else torch.zeros_like(maps[:, :each])
             if len(channel) > len(maps):
                 maps = maps.repeat(len(channel) // len(maps), 1, 1, 1)
             stacked = torch.cat((maps, channel), dim=1)
         injected = [noise.get(f"noise_{level}") for level in range(self.spec.depth)]
-        image: Tensor = self.network(stacked, self._pyramid(maps), injected)
+        image = unfolded(self.network(stacked, self._pyramid(maps), injected), each)
         height, width = next(value.shape[-2:] for value in given.values() if value is not None)
         return image if image.shape[-2:] == (height, width) else image[..., :height, :width]
 
     def noise_sizes(self, height: int, width: int) -> dict[str, tuple[int, int]]:
         """List the noise fields of an image of this size: name, and height and width, px.
 
-        `noise` is an input channel, `noise_<level>` is injected at 1/2^level of the resolution. Sizes are those of the
-        image padded to a multiple of 2^depth. The result is empty for a variant without noise.
+        `noise` is an input channel, `noise_<level>` is injected at 1/2^level of the resolution of the finest level.
+        Sizes are those of the image padded to a multiple of 2^depth, of folded rows twice that. The result is empty for
+        a variant without noise.
         """
-        unit = 2**self.spec.depth
-        height += -height % unit
+        each, unit = rows_of_a_cell(self.spec), 2**self.spec.depth
+        height += -height % (each * unit)
         width += -width % unit
         sizes = {"noise": (height, width)} if "noise" in inputs(self.spec) else {}
         if self.spec.noise is Noise.inject:
-            sizes |= {f"noise_{level}": (height >> level, width >> level) for level in range(self.spec.depth)}
+            rows = height // each
+            sizes |= {f"noise_{level}": (rows >> level, width >> level) for level in range(self.spec.depth)}
         return sizes
 
     def draw_noise(self, seed: Tensor, height: int, width: int) -> dict[str, Tensor]:
@@ -142,7 +156,7 @@ class Generator(nn.Module):
             if value is None:
                 raise ValueError(f"{name}: missing, this generator reads {', '.join(names)}")
             first = maps[0] if maps else value
-            channels = self.labels if name == "segmentation" else 1
+            channels = map_channels(name, self.labels)
             allowed = (*first.shape[:1], channels, *first.shape[2:])
             if value.ndim != 4 or value.shape != allowed:
                 alike = f"(N, {channels}, H, W), N, H and W alike of all maps"
@@ -152,7 +166,7 @@ class Generator(nn.Module):
             maps.append(value)
         height, width = maps[0].shape[-2:]
         unit = 2**self.spec.depth
-        padding = (0, -width % unit, 0, -height % unit)
+        padding = (0, -width % unit, 0, -height % (unit * rows_of_a_cell(self.spec)))
         if any(padding):
             maps = [F.pad(x, padding, value=OUTSIDE.get(name, 0.0)) for x, name in zip(maps, names, strict=True)]
         stacked = laid_out(torch.cat(maps, dim=1))
@@ -162,20 +176,37 @@ class Generator(nn.Module):
     def _pyramid(self, maps: Tensor) -> list[Tensor | None]:
         """Resize the maps to every level, once: means over areas, but a scalar order of labels has no mean."""
         fed = fed_channels(self.spec, self.labels)
-        if not fed:
+        if fed.stop == 0:
             return [None for _ in range(self.spec.depth + 1)]
-        orders = 1 if self.labels == 1 else 0
-        pyramid: list[Tensor | None] = [maps[:, :fed]]
-        means = maps[:, orders:fed]
+        orders = rows_of_a_cell(self.spec) if self.labels == 1 and fed.start == 0 else 0
+        pyramid: list[Tensor | None] = [maps[:, fed]]
+        means = maps[:, fed.start + orders : fed.stop]
         for level in range(1, self.spec.depth + 1):
             step = 2**level
             # Of an order the pixel at each cell's corner, where a convolution of stride 2 is centred.
-            resized = [maps[:, :1, ::step, ::step]] if orders else []
+            resized = [maps[:, :orders, ::step, ::step]] if orders else []
             if means.shape[1]:
                 means = area_means(means)
                 resized.append(means)
             pyramid.append(laid_out(torch.cat(resized, dim=1)))
         return pyramid
+
+
+def folded(maps: Tensor, rows: int) -> Tensor:
+    """Make each `rows` rows of (N, C, H, W) one row with `rows` channels in place of each: (N, C rows, H / rows, W)."""
+    if rows == 1:
+        return maps
+    batch, channels, height, width = maps.shape
+    cells = maps.reshape(batch, channels, height // rows, rows, width).permute(0, 1, 3, 2, 4)
+    return laid_out(cells.reshape(batch, channels * rows, height // rows, width))
+
+
+def unfolded(maps: Tensor, rows: int) -> Tensor:
+    """The inverse of `folded`, of one channel: (N, rows, h, W) to (N, 1, h rows, W)."""
+    if rows == 1:
+        return maps
+    batch, _, height, width = maps.shape
+    return maps.permute(0, 2, 1, 3).reshape(batch, 1, height * rows, width)
 
 
 def gaussian_field(seed: Tensor, level: int, height: int, width: int) -> Tensor:

@@ -18,7 +18,7 @@ from torch.nn import functional as F
 
 from ablate.networks.families import PatchDiscriminator
 from ablate.networks.generator import Generator
-from ablate.networks.spec import Family, GeneratorSpec, conditions
+from ablate.networks.spec import Family, GeneratorSpec, conditions, map_channels, rows_of_a_cell
 
 _Pair = tuple[int, int]
 _NARROW = 1e-6  # times the paper's channels: the fewest that a network has, as their number does not matter
@@ -36,6 +36,8 @@ _DESCRIBES = {"__get__", "__len__", "__repr__", "size", "dim", "is_floating_poin
 def receptive_field(spec: GeneratorSpec, labels: int = 1) -> int | None:
     """Measure the side of the generator's receptive field, px; None for a custom network, whose code is unknown.
 
+    It is that across scanlines; of folded rows it is about twice as many rows.
+
     The result depends by a few pixels on the position relative to the strides; the largest is returned. The statistics
     of instance norm, which are global, and the border of the image are not counted. A network with an operation that
     cannot be followed is a ValueError.
@@ -47,8 +49,8 @@ def receptive_field(spec: GeneratorSpec, labels: int = 1) -> int | None:
     period = 2**spec.depth
 
     def render(columns: Tensor) -> Tensor:
-        strip = columns.expand(1, 1, period, -1)
-        maps = dict.fromkeys(conditions(spec), strip) | {"segmentation": strip.expand(1, labels, -1, -1)}
+        strip = columns.expand(1, 1, period * rows_of_a_cell(spec), -1)
+        maps = {name: strip.expand(1, map_channels(name, labels), -1, -1) for name in conditions(spec)}
         return generator.render(maps, {})
 
     return _side(render, period, stride=1)

@@ -49,6 +49,16 @@ class Grain(StrEnum):
     refine = "refine"
 
 
+class Fold(StrEnum):
+    """Whether the finest level has every row, or pairs of rows as one with twice the channels: half the work.
+
+    Rows of beam space are three to a pulse, so two of them lie in one resolution cell.
+    """
+
+    none = "none"
+    rows = "rows"
+
+
 class Attenuation(StrEnum):
     """Which map of attenuation is an input: the integral one, the one compensated for the time gain, or none.
 
@@ -77,10 +87,16 @@ class Upsampling(StrEnum):
 
 
 class Noise(StrEnum):
-    """Where Gaussian noise enters: the features of the decoder, an input channel, or nowhere."""
+    """Where random texture comes from.
+
+    `inject`: Gaussian noise by pixel in the features of the decoder; `input`: in an input channel. Both stick to the
+    screen. `body`: the lattice of the simulator's scatterers, a map that every convolution of the local network reads,
+    so that speckle moves with the anatomy; it is defined in beam space alone.
+    """
 
     inject = "inject"
     input = "input"
+    body = "body"
     none = "none"
 
 
@@ -106,11 +122,12 @@ class GeneratorSpec(Checked):
     space: Space = setting(Space.image, "Where the network works: on the image or in beam space.")
     position: Position = setting(Position.none, "Which maps of position are inputs.")
     interfaces: Interfaces = setting(Interfaces.none, "Whether the interface map is an input.")
+    fold: Fold = setting(Fold.none, "Whether pairs of rows are one row of the finest level.")
     grain: Grain = setting(Grain.output, "What follows the finest noise.")
     attenuation: Attenuation = setting(Attenuation.integral, "Which attenuation map is an input.")
     concat: Concat = setting(Concat.every_level, "Which convolutions read segmentation and attenuation.")
     upsampling: Upsampling = setting(Upsampling.texture, "The up block.")
-    noise: Noise = setting(Noise.inject, "Where Gaussian noise enters.")
+    noise: Noise = setting(Noise.inject, "Where random texture comes from; `body` with `space=beam`.")
     depth: int = setting(
         4,
         "Levels; the receptive field doubles with each. With `family=custom`, sides are multiples of 2^depth.",
@@ -130,11 +147,19 @@ class GeneratorSpec(Checked):
             raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
         if self.family is not Family.local:
             self._check_without_local_components()
+        if self.family is Family.custom and self.fold is not Fold.none:
+            raise ValueError(
+                f"fold={self.fold} with family=custom: a network of your own folds for itself, allowed is none"
+            )
         if (self.family is Family.custom) != (self.target is not None):
             allowed = "the path of a class, as my_package.MyGenerator" if self.family is Family.custom else "null"
             raise ValueError(f"target={self.target} with family={self.family}: allowed is {allowed}")
         if self.noise is Noise.input and self.extra_input is ExtraInput.noise:
             raise ValueError("extra_input=noise with noise=input: allowed is one noise channel, drop either")
+        if self.noise is Noise.body and self.space is not Space.beam:
+            raise ValueError(
+                f"noise=body with space={self.space}: the scatterers are known on the scanlines, allowed is space=beam"
+            )
         if self.noise is not Noise.inject and self.noise_start != 0:
             raise ValueError(
                 f"noise_start={self.noise_start} with noise={self.noise}: nothing is injected, allowed is 0"
@@ -147,7 +172,7 @@ class GeneratorSpec(Checked):
             if value != allowed:
                 raise ValueError(f"{name}={value} {family}: allowed is {name}={allowed}")
         if self.noise is Noise.inject:
-            raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input")
+            raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input, noise=body")
 
 
 # What a U-Net and a custom network have in place of the local network's components.
@@ -165,30 +190,58 @@ OF_SURFACES = frozenset({"interfaces", "illumination"})
 OF_POSITION = frozenset(_POSITION_MAPS[Position.beam])
 
 
+#: The lattice of scatterers: real and imaginary parts of both values of a row, of the pose and a seed.
+GRAIN = "grain"
+GRAIN_CHANNELS = 4
+#: Maps that are not stored, because a pose and a probe tell them.
+NOT_STORED = OF_POSITION | {GRAIN}
+
+
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
     """Name the maps of a pair that the generator reads, in the order of its input channels.
 
-    These are also what the discriminator is conditioned on, and what a dataset has to provide. Each is one channel, but
-    for `segmentation`, which has one or more channels for its labels.
+    These are also what a dataset has to provide; `map_channels` counts the channels of each.
     """
     names = ["segmentation", *_ATTENUATION_MAPS[spec.attenuation]]
     if spec.interfaces is Interfaces.echo:
         names.append("interfaces")
     names += _POSITION_MAPS[spec.position]
+    if spec.noise is Noise.body:
+        names.append(GRAIN)
     if spec.extra_input is ExtraInput.low:
         names.append("low")
     return tuple(names)
 
 
-def fed_channels(spec: GeneratorSpec, labels: int = 1) -> int:
-    """Count the channels that every convolution reads, the first ones of all; 0 where the maps enter only once.
+def judged(spec: GeneratorSpec) -> tuple[str, ...]:
+    """Name the maps that the discriminator is conditioned on: all that the generator reads but its random texture."""
+    return tuple(name for name in conditions(spec) if name != GRAIN)
 
-    `labels` is the number of channels of the segmentation, which follows from how a data set encodes its labels.
+
+def map_channels(name: str, labels: int = 1) -> int:
+    """Count the channels of a map; `labels` are those of the segmentation, by how a data set encodes its labels."""
+    return {"segmentation": labels, GRAIN: GRAIN_CHANNELS}.get(name, 1)
+
+
+def rows_of_a_cell(spec: GeneratorSpec) -> int:
+    """Count the rows of a frame that are one row of the finest level, and so the channels of the output."""
+    return 2 if spec.fold is Fold.rows else 1
+
+
+def fed_channels(spec: GeneratorSpec, labels: int = 1) -> slice:
+    """Which of the input channels every convolution of the local network reads; an empty slice where none.
+
+    `concat` decides over the maps of the anatomy. The grain is fed at every resolution whatever it says, as noise that
+    is injected is. `labels` is as for `map_channels`; of folded rows each channel counts twice.
     """
-    if spec.concat is Concat.input:
-        return 0
-    other_maps = [name for name in conditions(spec) if name not in ("segmentation", "low")]
-    return labels + len(other_maps)
+    names = [name for name in conditions(spec) if name != "low"]
+    each = rows_of_a_cell(spec)
+    end = each * sum(map_channels(name, labels) for name in names)
+    if spec.family is not Family.local:
+        return slice(0, 0)
+    if spec.concat is Concat.every_level:
+        return slice(0, end)
+    return slice(end - each * GRAIN_CHANNELS, end) if GRAIN in names else slice(0, 0)
 
 
 def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
@@ -199,7 +252,7 @@ def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
 
 def input_channels(spec: GeneratorSpec, labels: int = 1) -> int:
     """Count the channels of the network's first convolution; `labels` of them are the segmentation."""
-    return labels + len(inputs(spec)) - 1
+    return rows_of_a_cell(spec) * sum(map_channels(name, labels) for name in inputs(spec))
 
 
 def draws_noise(spec: GeneratorSpec) -> bool:

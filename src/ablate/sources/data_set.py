@@ -9,14 +9,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from ablate.anatomy import Tissue
 from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs
+from ablate.dataset.motion import MOVED_FOLDER, Motion, Moved
 from ablate.networks import GeneratorSpec, conditions
-from ablate.networks.spec import OF_POSITION
+from ablate.networks.spec import NOT_STORED
 from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
 from ablate.storage import known_json, read_json, write_json
-from ablate.ultrasound.settings import Sliders
+from ablate.ultrasound.settings import SimulatorSettings, Sliders
 
 #: What every recipe has beside what its source says.
 PAIRS_RECIPE = {"pairs_version": PAIRS_VERSION}
@@ -47,11 +50,25 @@ class DataSet:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Its frames, with the time gain that they were simulated with."""
-        pairs = open_pairs(self.folder)
-        if simulator := self.about.get("simulator"):
-            pairs = replace(pairs, tgc=self.time_gain_db or simulator["tgc_db_cm_mhz"])
-        return pairs
+        """Its frames, with what they were simulated with."""
+        return self._simulated(open_pairs(self.folder))
+
+    @cached_property
+    def moved(self) -> Moved | None:
+        """Some test frames after motions of the probe; None where there are none, as of pairs made elsewhere."""
+        if not (self.folder / MOVED_FOLDER / "about.json").exists():
+            return None
+        pairs = self._simulated(open_pairs(self.folder / MOVED_FOLDER))
+        motions = tuple(Motion(motion) for motion in self.about["motions"])
+        return Moved(pairs, np.array(self.about["moved"]), motions)
+
+    def _simulated(self, pairs: Pairs) -> Pairs:
+        """Pairs with what they were simulated with, if they were."""
+        if self.about.get("simulator") is None:
+            return pairs
+        simulator = build(SimulatorSettings, self.about["simulator"], stored=True)
+        simulator = replace(simulator, time_gain_db=self.time_gain_db)
+        return replace(pairs, simulator=simulator, seed=self.about["dataset"]["seed"])
 
     @property
     def tissues(self) -> tuple[Tissue, ...]:
@@ -82,9 +99,18 @@ class DataSet:
         for computed in (self.kept_digest, *(self.folder / "resimulation").glob("*.json")):
             computed.unlink(missing_ok=True)
 
+    @property
+    def all_pairs(self) -> tuple[Pairs, ...]:
+        """Its frames, and those after motions; none where it has not been laid out."""
+        if not self.exists:
+            return ()
+        return (self.pairs,) if self.moved is None else (self.pairs, self.moved.pairs)
+
     def lacks(self, maps: frozenset[str]) -> bool:
         """Whether pairs of these maps are missing."""
-        return not self.exists or bool(self.pairs.missing(maps))
+        if not self.exists or (self.moved is None and "motions" in self.about):
+            return True
+        return any(pairs.missing(maps) for pairs in self.all_pairs)
 
     @cached_property
     def pixels(self) -> str:
@@ -107,7 +133,7 @@ class DataSet:
 
 def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
     """Arrays that a study reads: L only where a variant does; A always, the mechanism metrics need it."""
-    read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)} - OF_POSITION
+    read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)} - NOT_STORED
     return frozenset(read | {"segmentation", "attenuation", "target", "resimulation"})
 
 

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from ablate import dataset
 from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset import Dropped, Part, Placement, Recipe
+from ablate.dataset.motion import MOVED_FOLDER, Motion, moved_frames, moved_poses
 from ablate.networks import Space
 from ablate.setting import identity, plain
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
@@ -153,9 +154,18 @@ def simulate_data(
         "time_gain_db": simulator.time_gain_db,
     }
     mask = fan_mask(settings.probe, settings.simulator.image_shape)
-    frames = dataset.PlacedFrames(layout.poses, layout.sites, layout.split, mask)
     names = [tissue.name for tissue in scene.tissues]
     stored_as = dataset.StoredAs(settings.dataset.shard, names, Space.beam, settings.probe, simulator.beam_shape)
-    pairs = dataset.create_pairs(folder, frames, stored_as, about)
     made_with = Recipe(scene, settings.probe, simulator, settings.dataset.seed)
-    dataset.simulate_pairs(made_with, pairs, maps, settings.dataset.workers)
+    before = moved_frames(np.flatnonzero(layout.split == Part.test))
+    poses, motions = moved_poses(layout.poses[before], settings.probe, simulator.scanlines)
+    about["moved"] = np.repeat(before, len(Motion)).tolist()
+    about["motions"] = motions
+    moved = dataset.PlacedFrames(
+        poses, np.repeat(layout.sites[before], len(Motion)), np.full(len(poses), Part.test, np.uint8), mask
+    )
+    frames = dataset.PlacedFrames(layout.poses, layout.sites, layout.split, mask)
+    # the frames after motions first: where the data set has been laid out, they have been too
+    for placed, place_of in ((moved, folder / MOVED_FOLDER), (frames, folder)):
+        pairs = dataset.create_pairs(place_of, placed, stored_as, about)
+        dataset.simulate_pairs(made_with, pairs, maps, settings.dataset.workers)

@@ -94,7 +94,11 @@ def _train_and_score(job: Job, training: Training) -> None:
                 }
             )
         wanted = wanted_scores(settings.metrics, settings.evaluation, data.pixels)
-        _score(settings, training, data, render, training.lacking(wanted))
+        render_moved = None
+        if data.moved is not None:
+            of_moved = data.moved.pairs, values, settings.training.precision, data.moved.before
+            render_moved = generated_images(trained.generator, *of_moved)
+        _score(settings, training, data, (render, render_moved), training.lacking(wanted))
         _LOG.info("finished")
 
 
@@ -180,13 +184,18 @@ def _write_pictures(training: Training, data: DataSet, render: ImageSource, coun
 
 
 def _score(
-    settings: StudySettings, training: Training, data: DataSet, render: ImageSource, lacking: Sequence[ScoreKey]
+    settings: StudySettings,
+    training: Training,
+    data: DataSet,
+    rendered: tuple[ImageSource, ImageSource | None],
+    lacking: Sequence[ScoreKey],
 ) -> None:
-    """Compute and keep the scores that are missing."""
+    """Compute and keep the scores that are missing, of images of the frames and of those after motions."""
     if not lacking:
         return
     asked = replace(settings, metrics=[key.asked for key in lacking])
-    scores = score_run(scorer(asked, data), render, draws_noise(settings.model))
+    render, render_moved = rendered
+    scores = score_run(scorer(asked, data), render, draws_noise(settings.model), render_moved)
     for key, score in by_metric(scores, lacking).items():
         write_score(training.scores, key, score)
 
@@ -197,7 +206,7 @@ def scorer(settings: StudySettings, data: DataSet) -> Scorer:
     if weights is not None and min(data.pairs.shape) >= CENTRE and needs_inception(metrics):
         inception = load_inception(inception_file(weights), str(chosen_device(settings.training.device)))
     probe = data.pairs.probe or settings.probe
-    return Scorer(data.pairs, data.tissues, probe, settings.evaluation, metrics, inception)
+    return Scorer(data.pairs, data.tissues, probe, settings.evaluation, metrics, inception, data.moved)
 
 
 def _validation(settings: StudySettings, data: DataSet, values: np.ndarray, log: LocalLog) -> Validation:

@@ -102,8 +102,9 @@ def simulate(jobs: Sequence[Job], launch: Launch) -> int:
     """
     sets = _data_sets(jobs)
     for job, maps in sets:
-        for damaged in remove_damaged(job.data.pairs, maps) if job.data.exists else ():
-            print(damaged, file=sys.stderr)
+        for pairs in job.data.all_pairs:
+            for damaged in remove_damaged(pairs, maps):
+                print(damaged, file=sys.stderr)
     if launch.elsewhere:
         launch.start(jobs, simulate_for_job)
     else:

@@ -234,7 +234,11 @@ def generate(
 
 
 def generated_images(
-    generator: Generator, pairs: Pairs, values: np.ndarray, precision: TrainingPrecision
+    generator: Generator,
+    pairs: Pairs,
+    values: np.ndarray,
+    precision: TrainingPrecision,
+    noise_of: np.ndarray | None = None,
 ) -> Callable[..., np.ndarray]:
     """An `ImageSource` of a generator on a data set; the noise depends on frame number and draw.
 
@@ -250,6 +254,8 @@ def generated_images(
         What the generator reads for each label, `label_values`.
     precision : TrainingPrecision
         Of the convolutions.
+    noise_of : (frames,) int, optional
+        For each frame the number whose noise it has, in place of its own.
 
     Returns
     -------
@@ -262,7 +268,7 @@ def generated_images(
 
     def render(frames: np.ndarray, draw: int, given: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         maps = given or {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}
-        seeds = torch.from_numpy(noise_seeds(frames, draw))
+        seeds = torch.from_numpy(noise_seeds(frames if noise_of is None else noise_of[frames], draw))
         inputs = network_inputs(maps, values, mask)
         return generate(generator, inputs, torch.from_numpy(mask), seeds, precision, converter)
 

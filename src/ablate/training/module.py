@@ -20,6 +20,7 @@ from ablate.networks import (
     conditions,
     discriminator_channels,
     draws_noise,
+    judged,
 )
 from ablate.setting import plain
 from ablate.training.settings import TRAINING_VERSION, AdversarialLoss, Reconstruction, TrainingSettings
@@ -37,7 +38,7 @@ class PairGAN(LightningModule):
     Parameters
     ----------
     spec : GeneratorSpec
-        Components of the generator; the discriminator is conditioned on the same maps.
+        Components of the generator; the discriminator is conditioned on the maps of `judged`.
     settings : TrainingSettings
         Losses, learning rates, and the seed of the initial weights.
     labels : int
@@ -114,7 +115,7 @@ class PairGAN(LightningModule):
         fake, *second = [mask * (draw.float() + 1) - 1 for draw in draws]  # black outside the fan
         losses: dict[str, Tensor] = {}
         if self.discriminator is not None:
-            stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
+            stacked = torch.cat([maps[name].to(rendered.dtype) for name in judged(self.spec)], dim=1)
             losses |= self._train_discriminator(self.discriminator, optimizers_d[0], stacked, image, fake.detach())
             self.discriminator.requires_grad_(False)
             losses["train/loss_g"] = self._adversarial_loss(self.discriminator(stacked, fake).float())

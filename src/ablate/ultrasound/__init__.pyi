@@ -1,4 +1,5 @@
 from .imaging.bmode import Display as Display
+from .imaging.lattice import grain as grain
 from .patient_gain import with_patient_gain as with_patient_gain
 from .probe import fan_mask as fan_mask
 from .probe import position_maps as position_maps

@@ -7,6 +7,7 @@ angles rad. What is different between the kinds of probe is in `fan_of`, and eve
 """
 
 import math
+import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -92,6 +93,14 @@ def check_pose(pose: np.ndarray) -> np.ndarray:
     if np.abs(pose[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
         raise ValueError(f"pose must end with the row (0, 0, 0, 1), not {pose[3].tolist()}")
     return pose
+
+
+def check_seed(seed: int) -> int:
+    """A seed as an int; a ValueError when it is negative, a TypeError when it is no whole number."""
+    seed = operator.index(seed)
+    if seed < 0:
+        raise ValueError(f"seed must be at least 0, not {seed}")
+    return seed
 
 
 def pixel_size_mm(probe: Probe, shape: tuple[int, int]) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from ablate.setting import Checked, check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 10
+SIMULATOR_VERSION = 11
 
 
 class PlanMode(StrEnum):
@@ -176,6 +176,8 @@ class Beam:
         How much sound reaches each point, there and back, with the gain: -48 to 24 dB; empty where not asked for.
     image : (rows, scanlines) uint8
         Grey levels.
+    grain : (rows, scanlines, 2) complex64
+        The lattice of scatterers before any tissue (`lattice.grain`); empty where not asked for.
     """
 
     segmentation: np.ndarray
@@ -183,6 +185,7 @@ class Beam:
     interfaces: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
     illumination: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
     image: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.uint8))
+    grain: np.ndarray = field(default_factory=partial(np.empty, (0, 0, 2), np.complex64))
 
 
 @dataclass(frozen=True)

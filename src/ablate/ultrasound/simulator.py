@@ -1,7 +1,6 @@
 """The simulator: renders frames of a scene, from any pose, for one probe and one set of settings."""
 
 import math
-import operator
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -16,9 +15,10 @@ from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
+from ablate.ultrasound.imaging.lattice import body_lines, grain, pose_in_body
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
-from ablate.ultrasound.probe import check_pose, fan_of
+from ablate.ultrasound.probe import check_pose, check_seed, fan_of
 from ablate.ultrasound.settings import Beam, ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
@@ -140,7 +140,7 @@ class Simulator:
             image=self._chain.convert.to_image(image),
             mask=self.mask,
             envelope=np.ascontiguousarray(envelope.T, np.float32),
-            beam=replace(self.beam_maps(pose), image=image),
+            beam=replace(self.beam_maps(pose), image=image, grain=self.grain(pose, seed)),
             probe=self.probe,
         )
 
@@ -155,12 +155,11 @@ class Simulator:
 
     def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, np.ndarray]:
         """The image, (rows, scanlines) uint8, and its envelope, (scanlines, samples)."""
-        if operator.index(seed) < 0:
-            raise ValueError(f"seed must be at least 0, not {seed}")
+        seed = check_seed(seed)
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
             prepared = None if self._plan.anechoic else self._of(pose, Simulator._prepare)
-            return self._chain.image(prepared, pose, operator.index(seed), display)
+            return self._chain.image(prepared, pose, seed, display)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
@@ -183,6 +182,14 @@ class Simulator:
         with without_teams():
             *surfaces, tissues = side_by_side(*(partial(self._of, pose, make) for make in makes))
         return Beam(*(made.copy() for made in chain(tissues, *surfaces)))
+
+    def grain(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
+        """The lattice of scatterers as a pose sees it, (rows, scanlines, 2) complex64; see `lattice.grain`.
+
+        Raises ValueError when the pose is not rigid or the seed negative.
+        """
+        with without_teams():
+            return grain(pose, self.probe, self.settings, seed, self.scene.body)
 
     def _of(self, pose: np.ndarray, make: Make) -> Any:
         """What `make` gives for a pose in the geometry's world; it is kept until another pose comes."""
@@ -239,5 +246,7 @@ class Simulator:
         places = self._weights, settings.rays, probe.depth_mm
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
         clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._pulse)
-        scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        return Prepared(scanlines, level_db, surfaces, clutter)
+        pose = local.copy()
+        pose[:3, 3] += self._origin_mm
+        in_body = body_lines(pose_in_body(pose, self.scene.body), probe, settings)
+        return Prepared((*in_body, labels, ranges), level_db, surfaces, clutter)

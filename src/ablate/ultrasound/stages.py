@@ -24,6 +24,7 @@ class Stage(StrEnum):
     attenuation_labels = "attenuation, its labels"
     attenuation_sum = "attenuation, its sum"
     surface_maps = "maps of surfaces"
+    grain = "grain"
     probe_rays = "rays at the probe"
     tracing = "rays, to the last echo"
     scanline_labels = "labels of the scanlines"

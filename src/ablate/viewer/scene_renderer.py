@@ -11,8 +11,17 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.networks.spec import OF_SURFACES, Space
-from ablate.ultrasound import Display, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
+from ablate.networks.spec import GRAIN, OF_SURFACES, Space
+from ablate.ultrasound import (
+    Display,
+    Probe,
+    Simulator,
+    SimulatorSettings,
+    TimeGain,
+    fan_mask,
+    grain,
+    with_patient_gain,
+)
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import open_generator, trained_at
 from ablate.viewer.session import Moving, Quality, ViewerState, Views
@@ -107,6 +116,9 @@ class SceneRenderer:
 
         def render() -> np.ndarray:
             beam = simulator.beam_maps(state.pose, reads_surfaces)
+            if GRAIN in trained.reads:  # of all layers even while the probe moves, as the network was trained
+                lattice = grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
+                beam = replace(beam, grain=lattice)
             fast = quality is Quality.coarse
             return trained.render((*maps, beam), low, mask, state.probe, state.seed, fast)
 

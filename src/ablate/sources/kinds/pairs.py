@@ -16,7 +16,7 @@ from ablate.dataset import Part, PngFolder, SplitBy
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
 from ablate.networks import Attenuation, GeneratorSpec, Position, Space, conditions
-from ablate.networks.spec import OF_POSITION, OF_SURFACES
+from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.data_set import PAIRS_RECIPE, training_frames
@@ -169,6 +169,11 @@ def _check_reads(spec: GeneratorSpec, label: str, checked: PngFolder) -> None:
                 f"model.{key}={value} in variant {label}: needs {checked.folder / 'fan.yaml'}, the geometry of the "
                 f"fan; allowed without it is {allowed}"
             )
+    if GRAIN in conditions(spec):
+        raise ConfigurationError(
+            f"model.noise=body in variant {label}: only a simulator knows where the scatterers lie; for pairs made "
+            "elsewhere allowed are inject, input and none"
+        )
     readable = checked.maps | OF_POSITION
     for name in conditions(spec):
         if name in OF_SURFACES:

@@ -1,19 +1,21 @@
-"""Scatterers fixed to the world: a counter-based hash of the lattice cell that a point lies in, and a slow texture.
+"""Scatterers fixed to the body: a counter-based hash of the lattice cell that a point lies in.
 
 There is no volume to store and no period to see; another seed is another hash. Every sample stands for
 `DRAWS_PER_SAMPLE` scatterers, because a sample's share of the slice (about 0.05 x 0.7 x 1.5 mm) holds many lattice
 cells: with one each, three layers of some ten cells would not be fully developed speckle.
+
+All tissues shape one table of variates, so the lattice without its tissues, `lattice.grain`, has the phases of every
+tissue's scatterers, and their strengths up to a factor that grows with the strength.
 """
 
 import math
-import zlib
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.compiled import Arrays, compiled, step
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
@@ -26,26 +28,51 @@ _LAST_SHIFT = np.uint32(15)
 _LAST_BITS = np.uint32(TABLE_SIZE - 1)
 
 
+@cache
+def _variates() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of `DRAWS_PER_SAMPLE` scatterers an entry: uniform, normal, and a random phasor, (draws, TABLE_SIZE) each."""
+    generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, 0]))
+    shape = (DRAWS_PER_SAMPLE, TABLE_SIZE)
+    uniform = generator.random(shape, np.float32)
+    normal = generator.standard_normal(shape, np.float32)
+    phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
+    return uniform, normal, np.exp(1j * phase)
+
+
+@cache
+def white_table() -> np.ndarray:
+    """Complex variates of the lattice, before any tissue, (TABLE_SIZE,) complex64 of mean square 1."""
+    _, normal, phasor = _variates()
+    total = (normal * phasor).sum(axis=0)
+    white: np.ndarray = (total / np.sqrt(np.mean(np.abs(total) ** 2))).astype(np.complex64)
+    return white
+
+
 @lru_cache(maxsize=256)
 def scatterer_table(tissue: Tissue) -> np.ndarray:
     """Complex scatterer strengths of a tissue, which the hash chooses from, (TABLE_SIZE,) complex64.
 
     s = [u <= density] (mean + sd n), Burger et al. 2013, eq. 15, less its expectation (a band-pass pulse does not
     see it), with a random phase; summed over `DRAWS_PER_SAMPLE` and scaled so that the mean square is
-    `Tissue.scatter_power`. Seeded by the tissue's name, so that a tissue more in a scene changes no other's speckle.
+    `Tissue.scatter_power`. The amplitudes are put in the order of those of `white_table`, and have its phases: their
+    distribution is that of the sums, and the lattice tells, in each cell, how bright a tissue's scatterer is among all
+    of the tissue's. A tissue more in a scene changes no other's speckle.
     """
     if tissue.scatter_power <= 0:
         return np.zeros(TABLE_SIZE, np.complex64)
-    generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, zlib.crc32(tissue.name.encode())]))
-    shape = (DRAWS_PER_SAMPLE, TABLE_SIZE)
-    here = generator.random(shape, np.float32) <= tissue.scatterer_density
-    n = generator.standard_normal(shape, np.float32)
-    strength = here * (tissue.scatterer_sd * n)
+    uniform, normal, phasor = _variates()
+    here = uniform <= tissue.scatterer_density
+    strength = here * (tissue.scatterer_sd * normal)
     strength += (here - tissue.scatterer_density) * tissue.scatterer_mean  # a large mean cancels before it is added
-    phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
-    total = (strength * np.exp(1j * phase)).sum(axis=0)
-    power = np.mean(np.abs(total) ** 2)  # 0 where the table of a very sparse tissue holds no scatterer
-    return (total * math.sqrt(tissue.scatter_power / power) if power > 0 else total).astype(np.complex64)
+    amplitudes = np.sort(np.abs((strength * phasor).sum(axis=0)))
+    power = np.mean(amplitudes**2)  # 0 where the table of a very sparse tissue holds no scatterer
+    if power > 0:
+        amplitudes *= math.sqrt(tissue.scatter_power / power)
+    white = white_table()
+    in_order = np.argsort(np.abs(white), kind="stable")
+    table = np.empty(TABLE_SIZE, np.complex64)
+    table[in_order] = amplitudes * (white / np.abs(white))[in_order]
+    return table
 
 
 def mix_seed(seed: int) -> np.uint32:
@@ -124,12 +151,26 @@ def shared_cell_gain_of_layers(starts_mm: np.ndarray, weights: np.ndarray, pitch
 class Samples(NamedTuple):
     """What a sample of a pose needs to know of its scatterer."""
 
-    starts: np.ndarray  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
+    starts: np.ndarray  # (layers, scanlines, 3) float32, mm from the anchor along the body's axes
     directions: np.ndarray  # (layers, scanlines, 3) float32
-    anchor: np.ndarray  # (3,) uint32, cells from the world's origin to where the lattice is counted from, modulo 2^32
+    anchor: np.ndarray  # (3,) uint32, cells from the body's origin to where the lattice is counted from, modulo 2^32
     ranges_mm: np.ndarray  # (layers, scanlines, samples) float32, along its line to what a sample displays
     tissue: np.ndarray  # (layers, scanlines, samples) uint8
     amplitude: np.ndarray  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
+
+
+@step
+def entry_of_cell(
+    start: np.ndarray, along: np.ndarray, r: np.float32, anchor: np.ndarray, lattice: tuple[np.float32, np.uint32]
+) -> np.int64:
+    """The entry of a table that the lattice cell of a point chooses; `lattice` is cells a millimetre, and the seed."""
+    cells_per_mm, mixed = lattice
+    for axis in range(3):
+        cell = np.int64(np.floor((start[axis] + along[axis] * r) * cells_per_mm))
+        mixed ^= np.uint32((np.uint32(cell) + anchor[axis]) * _FACTORS[axis])
+    for shift, factor in _MIXING:
+        mixed = np.uint32((mixed ^ (mixed >> shift)) * factor)
+    return np.int64((mixed ^ (mixed >> _LAST_SHIFT)) & _LAST_BITS)
 
 
 @compiled
@@ -154,7 +195,7 @@ def sum_scatterers(
         The scanlines.
     """
     starts, directions, anchor, ranges_mm, held, amplitude = samples
-    (cells_per_mm, seed), (silent, tables) = lattice, tissues
+    silent, tables = tissues
     for line in range(begin, end):
         total[:, line] = 0
         for layer in range(len(amplitude)):
@@ -163,12 +204,7 @@ def sum_scatterers(
                 tissue, level = held[layer, line, sample], amplitude[layer, line, sample]
                 if silent[tissue] or level == 0:
                     continue
-                r, mixed = ranges_mm[layer, line, sample], seed
-                for axis in range(3):
-                    cell = np.int64(np.floor((start[axis] + along[axis] * r) * cells_per_mm))
-                    mixed ^= np.uint32((np.uint32(cell) + anchor[axis]) * _FACTORS[axis])
-                for shift, factor in _MIXING:
-                    mixed = np.uint32((mixed ^ (mixed >> shift)) * factor)
-                row = np.int64(tissue) * TABLE_SIZE + np.int64((mixed ^ (mixed >> _LAST_SHIFT)) & _LAST_BITS)
+                entry = entry_of_cell(start, along, ranges_mm[layer, line, sample], anchor, lattice)
+                row = np.int64(tissue) * TABLE_SIZE + entry
                 total[0, line, sample] += tables[row, 0] * level
                 total[1, line, sample] += tables[row, 1] * level

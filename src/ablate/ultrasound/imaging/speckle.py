@@ -7,14 +7,12 @@ import numpy as np
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.imaging import scatterers, texture
+from ablate.ultrasound.imaging import lattice, scatterers, texture
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, lateral_sigma, layer_weights
-from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _TEXTURE_SPACING_MM = 0.3  # at most, of the samples that texture is computed at; a fine one has two a cell
-_MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
 Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
 
 
@@ -26,7 +24,7 @@ class Speckle:
     ) -> None:
         self._probe, self._settings, self._dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
-        self._pitch_mm = max(settings.scatterer_pitch_mm, fan_of(probe).reach_mm / _MOST_CELLS)
+        self._pitch_mm = lattice.pitch_mm(probe, settings)
         tables = np.concatenate([scatterers.scatterer_table(tissue) for tissue in tissues])[:, None]
         self._tables = np.concatenate([tables.real, tables.imag], axis=1).astype(dtype)  # (tissues * TABLE_SIZE, 2)
         self._silent = np.array([settings.plan is PlanMode.auto and tissue.scatter_power == 0 for tissue in tissues])
@@ -43,9 +41,9 @@ class Speckle:
     def insonify(self, lines: Lines, level_db: np.ndarray, seed: int) -> scatterers.Samples:
         """Prepare the scatterers of a pose; `seed` is theirs, and decides the texture.
 
-        For groups = layers * scanlines, the lines are starts and directions, (groups, 3) float64 in world coordinates,
-        mm, labels (groups, samples) of the tissues, and ranges, mm, (samples,) or (groups, samples). `level_db`,
-        (groups, nodes), is the illumination from the first sample to the last.
+        For groups = layers * scanlines, the lines are starts and directions, (groups, 3) float64 in the body's
+        coordinates, mm, labels (groups, samples) of the tissues, and ranges, mm, (samples,) or (groups, samples).
+        `level_db`, (groups, nodes), is the illumination from the first sample to the last.
         """
         starts, directions, labels, ranges_mm = lines
         shape = self._settings.layers, self._settings.scanlines, self._settings.axial_samples
@@ -61,20 +59,16 @@ class Speckle:
         fill = partial(texture.insonify, amplitude, node_db.reshape(-1, nodes), of_lines, textures)
         in_parts(fill, len(labels), LINES_OF_A_PART)
 
-        # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
-        anchor = np.rint(starts[0] / (self._pitch_mm * scatterers.ANCHOR_CELLS)) * scatterers.ANCHOR_CELLS
-        from_anchor = (starts - anchor * self._pitch_mm).astype(np.float32)
-        cells = np.array([int(number) % 2**32 for number in anchor], np.uint32)
-        from_anchor, along = (values.reshape(*shape[:2], 3) for values in (from_anchor, of_lines[1]))
+        places = lattice.places_of((starts, directions), self._pitch_mm, self._settings)
         ranges, tissue, amplitude = (values.reshape(shape) for values in (ranges, labels, amplitude))
-        return scatterers.Samples(from_anchor, along, cells, ranges, tissue, amplitude)
+        return scatterers.Samples(*places, ranges, tissue, amplitude)
 
     @stage(Stage.scatterers)
     def __call__(self, lines: scatterers.Samples, seed: int) -> np.ndarray:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples): real and imaginary part."""
         summed = np.empty((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
-        lattice = np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
-        add_up = partial(scatterers.sum_scatterers, summed, lines, lattice, (self._silent, self._tables))
+        cells = np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
+        add_up = partial(scatterers.sum_scatterers, summed, lines, cells, (self._silent, self._tables))
         in_parts(add_up, summed.shape[1], LINES_OF_A_PART)
         return summed
 
