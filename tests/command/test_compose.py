@@ -139,7 +139,12 @@ def test_cells_of_a_study_take_more_keys() -> None:
 
 def test_table_2_is_the_papers_variants_and_the_one_of_depth() -> None:
     jobs = jobs_of(["+study=table2", "preset=laptop", "seed=0,1,2"])
-    assert {job.label for job in jobs} == set(variant_names()) - {"full", "sa2h-gan", "sa2h-compensated", "sa2h-printed"}
+    assert {job.label for job in jobs} == set(variant_names()) - {
+        "full",
+        "sa2h-gan",
+        "sa2h-compensated",
+        "sa2h-printed",
+    }
     assert len(jobs) == 24
 
 

@@ -11,6 +11,7 @@ from ablate.command.compose import job_of, quoted
 from ablate.command.scale import PAPER_CROP, PAPER_ROWS, paper_levels
 from ablate.dataset.encoding import label_values
 from ablate.networks import GeneratorSpec, PatchDiscriminator, Space
+from ablate.networks.spec import Fold, rows_of_a_cell
 from ablate.settings.conf import components_of_networks, named_components, variant_names
 from ablate.settings.study import StudySettings
 from ablate.study.job import Job, parameters
@@ -87,7 +88,7 @@ def _row(settings: StudySettings) -> dict[str, object]:
     }
     if at_paper is None:
         return row
-    paper = replace(spec, width=1.0, depth=at_paper)
+    paper = replace(spec, width=1.0, depth=at_paper, fold=Fold.none)
     at_width_1 = replace(settings.training, discriminator_width=None)
     generator, discriminator = parameters(replace(settings, training=at_width_1), paper, labels).values()
     sizes = {"generator": generator, "discriminator": discriminator, "total": generator + discriminator}
@@ -105,6 +106,7 @@ def _field(spec: GeneratorSpec, labels: int, name: str, rows: int, height_mm: fl
     px = networks.receptive_field(spec, labels)
     if px is None:
         return dict.fromkeys((f"{name}_px", f"{name}_mm", f"{name}_percent"))
+    px *= rows_of_a_cell(spec)
     return {f"{name}_px": px, f"{name}_mm": px * height_mm / rows, f"{name}_percent": 100 * px / rows}
 
 

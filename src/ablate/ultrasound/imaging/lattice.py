@@ -28,7 +28,7 @@ from ablate.ultrasound.stages import Stage, stage
 #: Complex values of a row and scanline of `grain`.
 GRAIN_OF_A_ROW = 2
 _MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
-# Cells from a corner of the lattice to the body's origin: planes through it, as x = 0, would else lie on faces of cells.
+# Cells from a corner of the lattice to the body's origin: planes through it, as x = 0, would else lie on cells' faces.
 _OFFSET = np.array([0.37, 0.43, 0.31])
 _POSE_STEPS = 2.0**32  # a mm: poses are rounded to it, so that a body that moves with the probe rounds no cell away
 
