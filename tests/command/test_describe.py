@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import trimesh
 from skimage.io import imsave
@@ -42,15 +43,29 @@ def test_the_papers_networks_have_the_papers_parameter_counts_at_every_size() ->
     assert (smaller["total_here"] < table["total"]).all()  # two levels less
 
 
+def with_fold(fold: str) -> pd.DataFrame:
+    """The table of `preset=quick` with this in all variants that leave it open."""
+    variants = ",".join(name for name in variant_names() if name not in ("custom", "sa2h-printed"))
+    table = described(jobs_of(["-m", "preset=quick", f"model.fold={fold}", f"variant={variants}"]))
+    return table.rename(index=lambda label: label.removesuffix(f".fold-{fold}"))
+
+
 def test_a_miniature_sees_the_papers_millimetres_along_the_scanlines() -> None:
-    table = described(jobs_of(["preset=quick"]))
+    table = with_fold("none")
     assert table["field_mm"].to_numpy() == pytest.approx(table["paper_field_mm"].to_numpy(), rel=0.12)
     assert table.loc["sa2h", "field_px"] == 45  # 41, and the convolution that refines the grain
     assert table.loc["sa2h", "field_percent"] == pytest.approx(100 * 45 / 384)
     assert table.loc["sa2h", "field_mm"] == pytest.approx(45 * 150 / 384)
-    # Five more maps in the first convolutions, 4 x 4 to 64 channels, of generator and discriminator.
-    for variant in ("lsa2h", "nsa2h"):
-        assert table.loc[variant, "total"] == TOTALS[variant] + 2 * 5 * 4 * 4 * 64
+    # More maps in the first convolutions, 4 x 4 to 64 channels, of generator and discriminator: two of position, and in
+    # the generator of NSA2H the four of the grain in place of one of noise.
+    for variant, more in (("lsa2h", 2 + 2), ("nsa2h", 2 + 3 + 2)):
+        assert table.loc[variant, "total"] == TOTALS[variant] + more * 4 * 4 * 64
+
+
+def test_folded_rows_see_twice_as_far_along_the_scanlines_and_leave_the_papers_size_as_it_is() -> None:
+    every_row, folded = with_fold("none"), with_fold("rows")
+    assert (folded["field_px"] == 2 * every_row["field_px"]).all()
+    assert (folded["total"] == every_row["total"]).all()
 
 
 def test_a_variant_of_another_encoding_has_its_row_and_its_parameters() -> None:
