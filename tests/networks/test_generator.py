@@ -17,7 +17,8 @@ from ablate.networks import (
     gaussian_field,
     inputs,
 )
-from ablate.networks.generator import _GOLDEN, _mix
+from ablate.networks.generator import _GOLDEN, _mix, folded, unfolded
+from ablate.networks.layers import area_means
 from support.variants import LABELS, OUTSIDE, VARIANTS, random_maps
 
 
@@ -92,6 +93,31 @@ def test_padding_is_a_larger_frame_with_nothing_beside_the_fan(variant: str) -> 
     padded = {name: F.pad(given[name], (0, 2, 0, 3), value=outside) for name, outside in OUTSIDE.items()}
     whole = generator(**padded, noise_seed=given["noise_seed"])
     assert torch.equal(generator(**given), whole[..., :21, :30])
+
+
+def test_folded_rows_are_channels_and_come_back() -> None:
+    """Row r of channel c is row r // 2 of channel 2 c + r % 2."""
+    image = torch.arange(2.0 * 3 * 8 * 5).reshape(2, 3, 8, 5)
+    cells = folded(image, 2)
+    assert cells.shape == (2, 6, 4, 5)
+    for channel, row in ((0, 0), (1, 3), (2, 6)):
+        torch.testing.assert_close(cells[:, 2 * channel + row % 2, row // 2], image[:, channel, row])
+    torch.testing.assert_close(unfolded(folded(image[:, :1], 2), 2), image[:, :1])
+    assert folded(image, 1) is image
+
+
+@pytest.mark.parametrize("variant", ["beam", "beam-unet"])
+def test_a_network_of_folded_rows_is_that_network_of_half_the_rows(variant: str) -> None:
+    """It reads and gives each pair of rows as two channels of one: its layers are those of a frame of half the rows."""
+    spec = {**VARIANTS[variant], "noise": "none", "noise_start": 0.0, "depth": 2}
+    generator = make(LABELS[variant], **spec, fold="rows")
+    given = maps(32, 24, labels=LABELS[variant])
+    halves = {name: folded(values, 2) for name, values in given.items() if name in inputs(generator.spec)}
+    stacked = torch.cat([halves[name] for name in inputs(generator.spec)], dim=1)
+    pyramid = [stacked, area_means(stacked), area_means(area_means(stacked))]
+    expected = generator.network(stacked, pyramid, [None, None])
+    assert expected.shape == (len(stacked), 2, 16, 24)
+    torch.testing.assert_close(generator(**given), unfolded(expected, 2))
 
 
 def test_seeds_that_are_no_multiple_of_the_samples_are_refused() -> None:

@@ -28,6 +28,10 @@ from support.variants import UNET
         ({**UNET, "family": "custom"}, "target=None with family=custom: allowed is the path of a class"),
         ({"noise": "body"}, "noise=body with space=image: .* allowed is space=beam"),
         ({"noise": "body", "space": "beam", "noise_start": 0.1}, "nothing is injected"),
+        (
+            {**UNET, "family": "custom", "target": "a.B", "fold": "rows"},
+            "fold=rows with family=custom: .*is none",
+        ),
         ({"target": "a.B"}, r"target=a\.B with family=local: allowed is null"),
     ],
 )

@@ -33,6 +33,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "beam-body": {**BEAM, "noise": "body", "noise_start": 0.0},
     "beam-body-concat": {**BEAM, "noise": "body", "noise_start": 0.0, "concat": "input"},
     "beam-unet-body": {**UNET, "space": "beam", "noise": "body"},
+    "beam-folded": {**BEAM, "fold": "rows"},
+    "beam-unet-folded": {**UNET, "space": "beam", "fold": "rows", "noise": "body"},
     "beam-unet": {**UNET, "attenuation": "illumination", "position": "beam"},
 }
 #: Channels of the segmentation in the representation of the presets; one in all others.

@@ -83,7 +83,8 @@ def resimulation_note(metrics: list[str]) -> str:
     if floors:
         sentences.append(f"It is the floor for {floors}.")
     if levels:
-        sentences.append(f"It is the level of a perfect stochastic renderer for {levels}, which a network can exceed.")
+        exceeded = "which a network exceeds that smooths speckle away, or that knows the scatterers (noise=body)"
+        sentences.append(f"It is the level of a perfect stochastic renderer for {levels}, {exceeded}.")
     if not floors and not levels:
         sentences.append("It is not judged.")
     return " ".join(sentences)

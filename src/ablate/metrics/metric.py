@@ -38,7 +38,7 @@ class Resimulation(StrEnum):
     """What the same frame simulated with other scatterers and other paths tells about a metric."""
 
     floor = "floor"  # no stochastic renderer can do better
-    level = "level"  # a perfect stochastic renderer scores this; a better score means smoothing
+    level = "level"  # of a perfect stochastic renderer; better is smooth, or knows the scatterers
     none = "none"
 
 
