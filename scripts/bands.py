@@ -31,7 +31,7 @@ Change = Callable[[float], np.ndarray]
 
 def simulated() -> Pair:
     """A frame of the study's size as a pair with itself; it is no frame of its data sets."""
-    settings = jobs_of(["preset=quick"])[0].settings
+    settings = jobs_of(["preset=traced"])[0].settings
     scene, planes = fetal_abdomen(triangles=settings.scene.triangles), fetal_planes()
     simulator = with_patient_gain(scene, settings.probe, settings.simulator, np.array(list(planes.values())))
     frame = Simulator(scene, settings.probe, simulator).render(planes[PLANE])

@@ -40,7 +40,7 @@ BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by s
 FRAME = "frame.npz"
 MAIN = "full_model"  # which keeps pictures
 STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
-# What SA2H of preset=quick is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
+# What SA2H of preset=traced is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
 NAMES = {component.key: component.name for component in components()}
@@ -99,7 +99,7 @@ def study_lines(folder: Path) -> Iterator[str]:
         "Scores on test frames as a share of re-simulation's own score, mean over the runs of a network; of FD speckle "
         "the score itself. 1 is a perfect renderer that draws its own speckle. All networks were trained and tested in "
         "one anatomy, and the full model in the other one, too. The time is that of a frame with the maps that the "
-        "network reads. The bars are those that SA2H of `preset=quick` was developed for, in another anatomy. They "
+        "network reads. The bars are those that SA2H of `preset=traced` was developed for, in another anatomy. They "
         "were added to this page while the trainings of the study ran, and no verdict depends on them."
     )
     if distances := distance_rows(table):
