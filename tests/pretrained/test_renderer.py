@@ -156,48 +156,56 @@ def test_a_shipped_generator_has_the_components_that_its_file_names(name: str) -
     content = torch.load(Path(ablate.__file__).parent / "pretrained" / f"{name}.pt", weights_only=True)
     generator = load(name).generator
     assert content["spec"].items() <= plain(generator.spec).items()
-    assert content["labels"] == generator.labels == 3
+    assert content["labels"] == generator.labels
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_generator_renders_the_built_in_anatomy(name: str) -> None:
-    """Its image is nearer to the target than with the labels of two tissues exchanged, and has other speckle a seed."""
+    """It is nearer to the target than with the labels of two tissues exchanged, and than with other scatterers."""
     renderer, scene = ablate.load(name), fetal_abdomen(160_000)
-    frame = Simulator(scene, renderer.probe, renderer.simulator).render(fetal_planes()["head"], seed=0)
+    simulator, pose = Simulator(scene, renderer.probe, renderer.simulator), fetal_planes()["abdomen"]
+    frame = simulator.render(pose, seed=0)
     image = renderer.render(frame, scene.tissues)
     tissues = list(scene.tissues)
     names = [tissue.name for tissue in tissues]
     soft, fluid = names.index("soft_tissue"), names.index("amniotic_fluid")
     tissues[soft], tissues[fluid] = tissues[fluid], tissues[soft]
     assert psnr(image, frame.image, frame.mask) > 3 + psnr(renderer.render(frame, tissues), frame.image, frame.mask)
-    assert not np.array_equal(image, renderer.render(frame, scene.tissues, seed=1))
+    other = replace(frame, beam=replace(frame.beam, grain=simulator.grain(pose, seed=1)))
+    assert psnr(image, frame.image, frame.mask) > 1 + psnr(renderer.render(other, scene.tissues), frame.image, frame.mask)
 
 
 @pytest.fixture(scope="module")
 def by_lattice() -> dict[tuple[int, int], tuple[float, float]]:
-    """PSNR of the shipped SA2H and of re-simulation, by anatomy and seed of the scatterers, mean over standard planes."""
+    """PSNR of the shipped SA2H, and with the grain of another seed, by anatomy and seed, mean over standard planes."""
     renderer = load("sa2h")
     scores = {}
     for anatomy in (0, 5):
         scene, poses = fetal_abdomen(40_000, anatomy), list(fetal_planes(anatomy).values())[:5]
         simulator = Simulator(scene, renderer.probe, renderer.simulator, poses=poses)
         for seed in (0, 7, 123):
-            frames = [simulator.render(pose, seed) for pose in poses]
-            again = [simulator.image(pose, seed + 1000) for pose in poses]
-            made = [psnr(frame.image, renderer.render(frame, scene.tissues), frame.mask) for frame in frames]
-            floor = [psnr(frame.image, other, frame.mask) for frame, other in zip(frames, again, strict=True)]
-            scores[anatomy, seed] = float(np.mean(made)), float(np.mean(floor))
+            right, wrong = [], []
+            for pose in poses:
+                frame = simulator.render(pose, seed)
+                elsewhere = replace(frame, beam=replace(frame.beam, grain=simulator.grain(pose, seed + 1)))
+                images = (renderer.render(one, scene.tissues) for one in (frame, elsewhere))
+                of_right, of_wrong = (psnr(frame.image, image, frame.mask) for image in images)
+                right.append(of_right)
+                wrong.append(of_wrong)
+            scores[anatomy, seed] = float(np.mean(right)), float(np.mean(wrong))
     return scores
 
 
-def test_scatterers_that_no_training_saw_are_rendered_as_well(by_lattice) -> None:
-    """The same planes with other scatterers; seed 0 and anatomy 0 are those of the training."""
+def test_scatterers_and_bodies_that_no_training_saw_are_rendered_as_well(by_lattice) -> None:
+    """Seed 0 and anatomy 0 are those of the training."""
     for anatomy in (0, 5):
         of_seeds = [by_lattice[anatomy, seed][0] for seed in (0, 7, 123)]
-        assert np.ptp(of_seeds) < 0.3
+        assert np.ptp(of_seeds) < 0.25, "of five frames"
+    assert by_lattice[5, 0][0] == pytest.approx(by_lattice[0, 0][0], abs=0.4), "other frames"
 
 
-def test_a_body_that_no_training_saw_is_nearer_than_its_re_simulation(by_lattice) -> None:
-    for generated, again in by_lattice.values():
-        assert generated > again + 0.8
+def test_the_grain_of_other_scatterers_is_told_apart(by_lattice) -> None:
+    """A positive control: with the scatterers of another seed the image is that much farther from the target."""
+    for right, wrong in by_lattice.values():
+        assert right > wrong + 1.5

@@ -64,7 +64,7 @@ class Renderer:
         tissues : sequence of Tissue
             Behind the labels 1, 2, ... of the frame's segmentation, as `Scene.tissues`.
         seed : int
-            Of the noise: another seed gives other speckle.
+            Of noise by pixel. With `noise=body` the frame's own grain decides, which `Simulator.grain` makes of any seed.
         precision : TrainingPrecision
             Of the convolutions.
 

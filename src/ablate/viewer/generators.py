@@ -39,7 +39,8 @@ def pickable(folder: Path) -> dict[str, Path]:
     usable = [training for training in found if training.is_trained and training.checkpoint.exists()]
     usable.sort(key=lambda training: training.label != StudySettings.reference)
     named = {f"{training.folder.parent.name}: {training.name}": training.folder.resolve() for training in usable}
-    return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
+    shipped = sorted(pretrained.NAMES, key=lambda name: name != StudySettings.reference)
+    return named | {f"comes with ablate: {name}": _SHIPPED / name for name in shipped}
 
 
 def is_shipped(picked: Path) -> bool:
