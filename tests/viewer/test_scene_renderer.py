@@ -134,7 +134,8 @@ def test_a_probe_in_the_air_is_rendered_without_a_warning() -> None:
 
 def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know() -> None:
     offered = pickable(Path("nowhere"))
-    assert list(offered) == [f"comes with ablate: {name}" for name in NAMES]
+    assert list(offered) == [f"comes with ablate: {name}" for name in ("sa2h", "full", "sa2h-512")]
+    assert len(NAMES) == 3
     picked = {"here": offered["comes with ablate: sa2h"]}
     views = SceneRenderer(BODY, STATE.pose[None]).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
     (image,) = views.generated
@@ -200,10 +201,12 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     assert unlike == f"not trained on {tissue.name.replace('_', ' ')}"
     engine, state = SceneRenderer(known, STATE.pose[None]), replace(STATE, runs=(picked,), seed=3)
     moving, rest = engine.render(state, Quality.coarse), engine.render(state, Quality.full)
-    frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)
-    np.testing.assert_array_equal(rest.generated[0], exact := renderer.render(frame, known.tissues, seed=3))
-    assert moving.generated[0] is not None
-    assert 0 < np.abs(moving.generated[0].astype(int) - exact)[moving.mask].mean() < 3, "grey levels; of one layer"
+    frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose, seed=3)
+    np.testing.assert_array_equal(rest.generated[0], exact := renderer.render(frame, known.tissues))
+    np.testing.assert_array_equal(moving.generated[0], exact, "S, A and grain are complete while the probe moves")
+    of_full = engine.render(replace(state, runs=(offered["comes with ablate: full"],)), Quality.coarse)
+    whole = load("full").render(frame, known.tissues)
+    assert 0 < np.abs(of_full.generated[0].astype(int) - whole)[moving.mask].mean() < 3, "its surfaces, of one layer"
     louder = engine.render(replace(state, display=Display(tgc_db=(0, 0, 20))), Quality.full)
     assert louder.ms["generated 0"] == rest.ms["generated 0"], "a display renders no generator again"
 
