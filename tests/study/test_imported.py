@@ -206,6 +206,15 @@ def test_a_map_that_only_the_simulator_makes_is_refused(folder: Path, tmp_path: 
         run(*where, f"model.{key}")
 
 
+def test_the_grain_of_a_body_that_nobody_knows_is_refused(folder: Path, tmp_path: Path) -> None:
+    where = [f"runs_dir={tmp_path / 'runs'}", "scene=pairs", f"scene.folder={folder}", "model.noise=body"]
+    with pytest.raises(ConfigurationError, match=r"^model\.noise=body with space=image: .*allowed is space=beam$"):
+        run(*where)
+    message = r"^model\.noise=body in variant .*only a simulator knows.*allowed are inject, input and none$"
+    with pytest.raises(ConfigurationError, match=message):
+        run(*where, "model.space=beam")
+
+
 def test_a_site_on_two_sides_is_refused_unless_frames_are_split(folder: Path, tmp_path: Path) -> None:
     moved = tmp_path / "moved"
     shutil.copytree(folder, moved)

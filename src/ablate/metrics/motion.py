@@ -1,6 +1,7 @@
 """Does grain move with the body? Correlation of speckle before and after a known motion of the probe."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -13,12 +14,24 @@ BLACK, WHITE = 0, 255
 
 
 def high_passed(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """An image (H, W) less its Gaussian mean of 4 px within a mask (H, W) bool, float32; 0 outside the mask."""
-    inside = mask.astype(np.float32)
-    mean = gaussian_filter(image * inside, GRAIN_SIGMA_PX)
-    share = gaussian_filter(inside, GRAIN_SIGMA_PX)
-    grain: np.ndarray = (image - mean / np.maximum(share, np.float32(1e-6))) * inside
+    """An image (H, W) uint8 less its Gaussian mean of 4 px within a mask (H, W) bool, float32; 0 outside the mask."""
+    return _high_passed(image.tobytes(), mask.tobytes(), image.shape)
+
+
+@lru_cache(maxsize=4)  # of a frame and its motions: the image before is asked for again and again
+def _high_passed(image: bytes, mask: bytes, shape: tuple[int, int]) -> np.ndarray:
+    inside = np.frombuffer(mask, bool).reshape(shape).astype(np.float32)
+    values = np.frombuffer(image, np.uint8).reshape(shape) * inside
+    mean = gaussian_filter(values, GRAIN_SIGMA_PX, truncate=3.0)
+    grain: np.ndarray = (values - mean / _share(mask, shape)) * inside
     return grain
+
+
+@lru_cache(maxsize=2)
+def _share(mask: bytes, shape: tuple[int, int]) -> np.ndarray:
+    """How much of the Gaussian lies in the mask."""
+    inside = np.frombuffer(mask, bool).reshape(shape).astype(np.float32)
+    return np.maximum(gaussian_filter(inside, GRAIN_SIGMA_PX, truncate=3.0), np.float32(1e-6))
 
 
 def _correlation(before: np.ndarray, after: np.ndarray, where: np.ndarray) -> float | None:
@@ -80,7 +93,7 @@ MOTION = Metric(
     resimulation=Resimulation.level,
     group=Group.mechanism,
     decimals=2,
-    shown=Shown.drawn,
+    shown=Shown.drawn | Shown.report,
     of_motion=motion,
     place=112,
 )
