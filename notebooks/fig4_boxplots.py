@@ -42,8 +42,8 @@ def boxes_of(metrics: list[str]) -> None:
 # 95 % interval of the median shift over probe sites.
 #
 # The grey band is the re-simulation, which is the same frame with other scatterers. For patch chi-square it is the
-# floor. For PSNR and MAE it is the level of a perfect stochastic renderer. A network that is better than this level knows
-# the scatterers (`noise=body`), or has smoothed the speckle away.
+# floor. For PSNR and MAE it is the level of a perfect stochastic renderer. A network that is better than this level
+# knows the scatterers (`noise=body`), or has smoothed the speckle away.
 
 # %%
 boxes_of(shown_in(Shown.headline))

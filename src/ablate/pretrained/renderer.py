@@ -64,7 +64,7 @@ class Renderer:
         tissues : sequence of Tissue
             Behind the labels 1, 2, ... of the frame's segmentation, as `Scene.tissues`.
         seed : int
-            Of noise by pixel. With `noise=body` the frame's own grain decides, which `Simulator.grain` makes of any seed.
+            Of noise by pixel. With `noise=body` the frame's own grain decides, of which `Simulator.grain` makes others.
         precision : TrainingPrecision
             Of the convolutions.
 
