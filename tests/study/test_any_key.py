@@ -38,8 +38,8 @@ def answered(jobs: Sequence[Job]) -> tuple[StudyResults, tuple[Run, ...]]:
 @pytest.mark.parametrize(
     ("word", "labels"),
     [
-        ("training.reconstruction=l1,crps", ["sa2h", "sa2h.reconstruction-crps"]),
-        ("training.learning_rate=1e-3,1e-4", ["sa2h", "sa2h.learning_rate-0.0001"]),
+        ("training.schedule=linear,constant", ["sa2h", "sa2h.schedule-constant"]),
+        ("training.learning_rate=5e-4,1e-4", ["sa2h", "sa2h.learning_rate-0.0001"]),
         ("dataset.frames=12,10", ["sa2h", "sa2h.frames-10"]),
     ],
 )
