@@ -23,7 +23,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 8 to 22 minutes on two cores
+sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 10 minutes on two cores with AVX-512
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
 answer: $(STAMP) ## which components earn their keep, from the runs that docs/results keeps; nothing is trained
