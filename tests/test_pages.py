@@ -43,4 +43,4 @@ def test_the_site_has_every_page_and_every_name_that_a_room_offers(tmp_path: Pat
             ids = set(re.findall(r'id="ablate\.[\w.]+\.(\w+)"', file.read_text()))
             assert not set(offered) - ids
     assert len(list((tmp_path / "api").glob("*.html"))) == 9
-    assert "ablate runs ablation studies" in re.sub(r"<[^>]+>", "", (tmp_path / "index.html").read_text())
+    assert "lets you extend, the ablation study" in re.sub(r"<[^>]+>", "", (tmp_path / "index.html").read_text())
