@@ -87,9 +87,25 @@ def moved_poses(poses: np.ndarray, probe: Probe, scanlines: int) -> tuple[np.nda
 def places_before(
     motion: Motion, probe: Probe, scanlines: int, image_shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column, px, where the image before a motion shows what each pixel shows after it, twice (H, W) float64.
+    """Row and column, px, where the image before a motion shows what each pixel shows after it.
 
     What left the plane is taken for what lies beside it in the plane.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the probe.
+    probe : Probe
+        Its image.
+    scanlines : int
+        Of a frame; the probe is rocked by two of them.
+    image_shape : (H, W)
+        Of the image.
+
+    Returns
+    -------
+    two of (H, W) float64
+        Rows and columns, also beyond the image.
     """
     x, z = pixel_coordinates_mm(probe, image_shape)
     points = np.stack([*np.broadcast_arrays(x[None, :], 0.0, z[:, None])], axis=-1)

@@ -92,8 +92,18 @@ def score_run(
 
     Which metrics are asked for is said by `scorer.metrics`, and `Scores.of_metric` gives those of each. They are the
     same whichever others are asked for. What is said about the generator's output, which share of it was clipped and
-    whether a frame differs when it is rendered again with the same noise, is of the test frames. `moved_images` renders
-    the frames of `scorer.moved`.
+    whether a frame differs when it is rendered again with the same noise, is of the test frames.
+
+    Parameters
+    ----------
+    scorer : Scorer
+        Of the data set.
+    images_of : ImageSource
+        Renders its frames.
+    draws_noise : bool
+        Whether a second noise draw can give another image.
+    moved_images : ImageSource, optional
+        Renders the frames of `scorer.moved`; without it the metrics of motion are left out.
     """
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
