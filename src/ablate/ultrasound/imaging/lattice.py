@@ -25,8 +25,6 @@ from ablate.ultrasound.probe import (
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
-#: Complex values of a row and scanline of `grain`.
-GRAIN_OF_A_ROW = 2
 _MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
 # Cells from a corner of the lattice to the body's origin: planes through it, as x = 0, would else lie on cells' faces.
 _OFFSET = np.array([0.37, 0.43, 0.31])
@@ -83,7 +81,8 @@ def grain(
     """The lattice of scatterers as a pose sees it, before any tissue, ray and point spread function.
 
     White complex noise of unit power: of every sample the entry that its lattice cell chooses, of all layers, with the
-    layers' weights. The simulator's scatterers have the same phases, and amplitudes that grow with these.
+    layers' weights. The simulator's scatterers have the same phases, and amplitudes that grow with these. Samples lie
+    at their depths, as those of S and A do: with `depth_mode=time_of_flight` the image shows other samples there.
 
     Parameters
     ----------

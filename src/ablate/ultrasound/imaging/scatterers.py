@@ -163,7 +163,19 @@ class Samples(NamedTuple):
 def entry_of_cell(
     start: np.ndarray, along: np.ndarray, r: np.float32, anchor: np.ndarray, lattice: tuple[np.float32, np.uint32]
 ) -> np.int64:
-    """The entry of a table that the lattice cell of a point chooses; `lattice` is cells a millimetre, and the seed."""
+    """The entry of a table that the lattice cell of a point chooses.
+
+    Parameters
+    ----------
+    start, along : (3,) float32
+        Of the point's line: mm from the anchor, and its direction.
+    r : float32
+        From there to the point, mm.
+    anchor : (3,) uint32
+        Cells to where the lattice is counted from, modulo 2^32.
+    lattice : tuple of float32 and uint32
+        Cells a millimetre, and the seed.
+    """
     cells_per_mm, mixed = lattice
     for axis in range(3):
         cell = np.int64(np.floor((start[axis] + along[axis] * r) * cells_per_mm))
