@@ -155,3 +155,40 @@ def test_rounding_is_no_difference():
     assert np.count_nonzero(two != many) > 5
     result = paired_difference(many, two, np.arange(60) // 6)
     assert (result.p, result.p_sites, result.effect, result.shift) == (1.0, 1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("kind", [float, np.float32])
+@pytest.mark.parametrize("unit", [0.1, 0.01, 1 / 3, 1e-9, 7e5])
+def test_the_unit_of_a_metric_with_few_levels_does_not_move_its_interval(unit, kind):
+    """Levels that are no binary fractions tie up to rounding; whole numbers tie exactly."""
+    sites = np.repeat(np.arange(16), 3)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        base = rng.integers(0, 7, 48)
+        value = np.clip(base + np.where(rng.random(48) < 0.6, 1, rng.integers(-2, 4, 48)), 0, 10)
+        whole = paired_difference(value, base, sites, resamples=500)
+        scaled = paired_difference((value * unit).astype(kind), (base * unit).astype(kind), sites, resamples=500)
+        ends = np.array([scaled.lower, scaled.upper, scaled.shift]) / unit
+        np.testing.assert_allclose(ends, [whole.lower, whole.upper, whole.shift], atol=0.02)
+        if kind is float:
+            assert (scaled.p, scaled.p_sites, scaled.effect) == pytest.approx((whole.p, whole.p_sites, whole.effect))
+
+
+@pytest.mark.parametrize("differing", [1, 5, 10])
+@pytest.mark.parametrize("sites", [10, 14, 20, 48])
+def test_p_of_few_differing_sites_is_that_of_all_signs(sites, differing):
+    """Whatever the sites that do not differ, and whether sizes are tied or not."""
+    for sizes in (np.arange(1.0, differing + 1), np.arange(1.0, differing + 1) // 3 + 1):
+        signs = np.where(np.arange(differing) == 1, -1, 1)
+        ranks = stats.rankdata(sizes)
+        sums = [ranks[np.array(up, bool)].sum() for up in itertools.product((0, 1), repeat=differing)]
+        sums, seen = np.array(sums), ranks[signs > 0].sum()
+        exact = min(1.0, 2 * np.mean(sums <= seen), 2 * np.mean(sums >= seen))
+        d = np.append(sizes * signs, np.zeros(sites - differing))
+        assert paired_difference(d, np.zeros(sites), np.arange(sites)).p_sites == pytest.approx(exact)
+
+
+def test_p_of_many_differing_frames_is_nearly_that_of_all_signs():
+    for n in (49, 50, 51, 52):  # exact, and by the normal distribution
+        d = np.random.default_rng(n).normal(0.2, 1, n)
+        assert paired_difference(d, np.zeros(n)).p == pytest.approx(stats.wilcoxon(d, method="exact").pvalue, rel=0.02)

@@ -279,11 +279,56 @@ def test_the_ends_of_an_improvement_tell_the_verdict(cells: pd.DataFrame, design
     assert {said.count(word) > 20 for word in Verdict} == {True}
 
 
-def test_the_ends_are_known_where_runs_do_not_vary(cells: pd.DataFrame, design: Design) -> None:
-    """A probability of exactly 0 has no share of Holm's correction."""
-    table = verdict_table(means_of(cells, design, np.full(len(cells), 7.0)), design).set_index("component")
-    assert set(table["verdict"]) == {"does_not"}
-    assert table[["least", "most"]].to_numpy() == pytest.approx(0, abs=1e-6)
+NOISE = (0.0, 0.4, -0.1)  # of three seeds
+NONE = (0.0, 0.0, 0.0)
+ROUNDING = (0.0, 3e-16, -2e-16)
+
+
+@pytest.mark.parametrize(
+    ("full", "without_it", "where"),
+    [
+        (NOISE, NOISE, None),
+        (NONE, NONE, "without it and with it"),
+        (ROUNDING, NONE, "without it and with it"),
+        (NONE, NOISE, "with it"),
+        (NOISE, ROUNDING, "without it"),
+    ],
+)
+@pytest.mark.parametrize("effect", [0.0, 5.0])
+def test_runs_that_no_seed_changes_decide_nothing(
+    full: tuple[float, ...], without_it: tuple[float, ...], where: str | None, effect: float
+) -> None:
+    """Neither in verdicts, nor in effects, nor in claims: equal runs are one run, however often it is repeated."""
+    pair = with_and_without("none")
+    values = [("sa2h", seed, 2 + chance) for seed, chance in enumerate(full)]
+    values += [("sa2h-att", seed, 2 + effect + chance) for seed, chance in enumerate(without_it)]
+    runs = pd.DataFrame(values, columns=["variant", "seed", "value"]).assign(metric=METRIC["att"], data="")
+    means = runs.join(pair.cells, on="variant")
+    row = verdict_table(means, pair).set_index("component").loc["att"]
+    (of_effect,) = analysis.effects_table(means, pair).to_dict("records")
+    (claim,) = analysis.seed_claims(runs.assign(frame=0, site=0)).to_dict("records")
+    if where is None:
+        assert np.isfinite([row["p_holm"], of_effect["p"], claim["p"]]).all()
+        return
+    assert (row["verdict"], row["why"]) == ("undecided", f"no spread: no seed changes anything in the runs {where}")
+    assert pd.isna([row["p_holm"], row["lower"], row["least"], of_effect["p"], of_effect["lower"], claim["p"]]).all()
+    assert claim["verdict"] == "not claimable"
+    assert row["effect"] == pytest.approx(-effect + np.mean(full) - np.mean(without_it)), "it is still told"
+
+
+def test_a_factorial_decides_where_some_cell_has_spread_or_no_cell_is_repeated(
+    cells: pd.DataFrame, design: Design
+) -> None:
+    chance = np.random.default_rng(0).normal(size=len(cells))
+    chance[[0, 32, 33]] = 1.0  # the only cell with several runs
+    repeated = verdict_table(means_of(cells, design, chance), design)
+    assert set(repeated["why"]) == {"no spread: no seed changes anything in the runs with it"}
+    chance[33] = 1.2
+    assert verdict_table(means_of(cells, design, chance), design)["p_holm"].notna().all()
+    once = cells["seed"] < 32
+    assert verdict_table(means_of(cells[once], design, chance[once]), design)["p_holm"].notna().all()
+    constant = verdict_table(means_of(cells[once], design, np.full(32, 7.0)), design)
+    assert set(constant["verdict"]) == {"undecided"}
 
 
 def test_dots_are_the_runs_without_what_other_components_and_anatomies_add(cells: pd.DataFrame, design: Design) -> None:

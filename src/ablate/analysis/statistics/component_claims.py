@@ -32,15 +32,20 @@ def welch(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float, float]:
     return shift, shift - reach, shift + reach, float(2 * stats.t.sf(abs(shift) / error, dof))
 
 
+def has_spread(means: np.ndarray) -> bool:
+    """Whether the means of runs, (k,), differ by more than rounding."""
+    return bool(np.ptp(means) > len(means) * np.finfo(float).eps * np.abs(means).max())
+
+
 def seed_claims(
     per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, reference: str = REFERENCE
 ) -> pd.DataFrame:
     """Which components may be said to matter: Welch's test on one mean a seed, and Holm's correction.
 
     Frames cannot answer this: two trainings of one network differ on them with p down to 1e-12. A row is
-    `not_claimable` where either side has fewer than three seeds, or no seed changes anything. Where
-    each row is judged alone, most studies of eight variants hold a false claim (docs/statistics.md); so `differs` is
-    said only after Holm's correction over all rows, and `suggested` of a row that differs when taken alone.
+    `not_claimable` where either side has fewer than three seeds, or no spread, as no seed changes anything there.
+    Where each row is judged alone, most studies of eight variants hold a false claim (docs/statistics.md); so `differs`
+    is said only after Holm's correction over all rows, and `suggested` of a row that differs when taken alone.
 
     `per_image` and `scalars` are as for `comparison_table`; costs are not judged. A mean is over the frames of which
     all runs have a value. Columns are variant, metric, verdict, seeds, shift, lower, upper (the interval of one row
@@ -61,7 +66,7 @@ def seed_claims(
             a = of_metric.loc[variant].to_numpy()
             b = of_metric.loc[reference].to_numpy()
             seeds = min(len(a), len(b))
-            testable = seeds >= FEWEST_SEEDS and max(np.ptp(a), np.ptp(b)) > 0
+            testable = seeds >= FEWEST_SEEDS and has_spread(a) and has_spread(b)
             shift, lower, upper, p = welch(a, b) if testable else (None, None, None, None)
             rows.append((variant, metric, seeds, shift, lower, upper, p))
     table = pd.DataFrame(rows, columns=["variant", "metric", "seeds", "shift", "lower", "upper", "p"])

@@ -30,6 +30,14 @@ class LinearModel:
     runs: np.ndarray  # (terms, 2), on the first and on the second side of each effect
     aliases: dict[tuple[str, ...], str]  # what the runs cannot tell from a term; empty where there is nothing
     residuals: np.ndarray  # (runs,)
+    spread: np.ndarray  # (terms, 2) bool, whether runs of a cell differ on the first and the second side of each effect
+
+    def is_tested(self, term: int) -> bool:
+        """Whether an effect has an interval: there are enough runs on both sides, and they tell the error.
+
+        Runs that are equal whatever the seed are no sample: their number says nothing of how sure an effect is.
+        """
+        return self.dof > 0 and self.runs[term].min() >= FEWEST_SEEDS and bool(self.spread[term].all())
 
     def contrast(self, weights: np.ndarray) -> tuple[float, float]:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
@@ -98,6 +106,7 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
         runs=np.column_stack([len(runs) - changed, changed]),
         aliases=_aliases(signs, factors, terms, blocks),
         residuals=residuals,
+        spread=_spread(runs, signs, design[:, of_terms] > 0, rounding) & residuals.any(),
     )
 
 
@@ -122,7 +131,7 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
     rows = []
     for k, term in enumerate(model.terms):
         lower = upper = p = None
-        if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
+        if model.is_tested(k):
             only_this = np.eye(len(model.terms))[k]
             lower, upper = model.interval(only_this)
             p = model.p_value(only_this)
@@ -154,6 +163,20 @@ def _signs(runs: pd.DataFrame, factors: Sequence[str]) -> dict[str, np.ndarray]:
             raise ValueError(f"factor {factor} needs 2 levels, got {levels}")
         coded[factor] = np.where(column == levels[1], 1.0, -1.0)
     return coded
+
+
+def _spread(runs: pd.DataFrame, signs: dict[str, np.ndarray], second: np.ndarray, rounding: float) -> np.ndarray:
+    """`LinearModel.spread` of terms on whose second side each run is or not, (runs, terms) bool.
+
+    A side where no cell has two runs has spread: the error is then told by effects that are taken as zero.
+    """
+    blocks = [runs["data"].to_numpy()] if "data" in runs else []
+    cells = pd.Series(runs["value"].to_numpy(np.float64)).groupby([*signs.values(), *blocks])
+    repeated = cells.transform("size").to_numpy() > 1
+    varied = (cells.transform("max") - cells.transform("min")).to_numpy() > rounding
+    sides = np.stack([~second, second]).T  # (terms, runs, 2)
+    is_varied, is_repeated = (np.any(sides & rows[:, None], axis=1) for rows in (varied, repeated))
+    return np.logical_or(is_varied, ~is_repeated)
 
 
 def _product(signs: dict[str, np.ndarray], term: Sequence[str]) -> np.ndarray:

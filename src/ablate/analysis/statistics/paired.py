@@ -24,6 +24,8 @@ PAIRED_COLUMNS = (
     "dropped",
 )
 LATTICE = 512  # levels, at least, that a bootstrap's differences are rounded to, over their range
+MOST_EXACT = 50  # differences of which Wilcoxon's test is exact
+_FAR, _MOST_FAR = 256, 0.05  # in spreads from the estimate, and how many differences may lie there
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class PairedDifference:
     lower, upper : float
         Its bootstrap interval over clusters (probe sites), infinite when there is only one.
     p : float
-        Of Wilcoxon's signed-rank test over frames, two-sided, and 1 when nothing differs. It takes frames for
-        independent, so it speaks of these frames and not of other sites.
+        Of Wilcoxon's signed-rank test over frames, two-sided, and 1 when nothing differs; exact where at most 50
+        differ. It takes frames for independent, so it speaks of these frames and not of other sites.
     p_sites : float
         Of the same test on one mean a cluster: it speaks of sites like these. Below six clusters it cannot reach 5 %.
     effect : float
@@ -86,13 +88,13 @@ def _bootstrap_shifts(
     On a lattice the counts of all Walsh averages are the autoconvolution of the histogram of differences, so one FFT
     takes the place of n^2 / 2 averages; an exact method up to rounding to range / LATTICE. The estimate is a point of
     the lattice: otherwise ties at the estimate (many frames without a difference) would be rounded to a value beside
-    it, and the interval would exclude it. About 32 levels or more lie between the quartiles.
-    Differences are clipped at 256 interquartile ranges from the estimate.
+    it, and the interval would exclude it. About 32 levels or more lie within the spread of `_spread`, and differences
+    are clipped at 256 of it from the estimate.
     """
     centre = hodges_lehmann(differences)
-    spread = stats.iqr(differences)
+    spread = _spread(differences, centre)
     if spread > 0:
-        differences = np.clip(differences, centre - 256 * spread, centre + 256 * spread)
+        differences = np.clip(differences, centre - _FAR * spread, centre + _FAR * spread)
     span = np.ptp(differences)
     if span == 0:
         return np.full(resamples, centre)
@@ -115,6 +117,19 @@ def _bootstrap_shifts(
     return shifts
 
 
+def _spread(differences: np.ndarray, centre: float) -> float:
+    """The range of the middle half of differences, or of so many more that few lie far outside; 0 where most are tied.
+
+    Where values are nearly tied, as those of a metric in decimals that is computed in single precision, the middle half
+    may have a range of 1e-8, and all that decides an interval lies outside.
+    """
+    for share in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95):
+        spread = float(np.ptp(np.quantile(differences, [(1 - share) / 2, (1 + share) / 2])))
+        if spread > 0 and np.mean(np.abs(differences - centre) > _FAR * spread) <= _MOST_FAR:
+            return spread
+    return 0.0
+
+
 def _median_walsh_level(counts: np.ndarray) -> np.ndarray:
     """(k,) float: twice the median Walsh average of k samples, of how often each has each level, (k, levels) float."""
     levels = counts.shape[1]
@@ -126,7 +141,29 @@ def _median_walsh_level(counts: np.ndarray) -> np.ndarray:
 
 
 def _wilcoxon(differences: np.ndarray) -> float:
-    return float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
+    """The two-sided p-value of the signed-rank test; zeros are dropped, of few others it is exact, with ties too."""
+    differences = differences[differences != 0]
+    if len(differences) > MOST_EXACT:
+        return float(stats.wilcoxon(differences).pvalue)
+    ranks = np.rint(2 * stats.rankdata(np.abs(differences))).astype(int)  # ties have halves
+    chance = np.ones(1)  # of each sum of the ranks of positive differences, if all signs are equally likely
+    for rank in ranks:
+        chance = (np.pad(chance, (0, rank)) + np.pad(chance, (rank, 0))) / 2
+    positive = ranks[differences > 0].sum()
+    return float(min(1.0, 2 * chance[: positive + 1].sum(), 2 * chance[positive:].sum()))
+
+
+def _tied(differences: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """Differences of which those that only rounding tells apart, in size or from zero, are equal; all (n,) float.
+
+    0.3 - 0.2 and 0.2 - 0.1 differ by 3e-17, and means over other numbers of seeds round otherwise.
+    """
+    order = np.argsort(np.abs(differences))
+    sizes, rounding = np.abs(differences)[order], rounding[order]
+    begins = np.diff(sizes, prepend=0.0) > np.maximum(rounding, np.append(0.0, rounding[:-1]))
+    tied = np.empty_like(sizes)
+    tied[order] = np.append(0.0, sizes[begins])[np.cumsum(begins)]
+    return np.sign(differences) * tied
 
 
 def paired_difference(
@@ -171,7 +208,9 @@ def paired_difference(
     differences = values[finite] - reference[finite]
     labels = labels[finite]
     rounding = 8 * np.finfo(float).eps * np.maximum(np.abs(values[finite]), np.abs(reference[finite]))
-    differences[np.abs(differences) <= rounding] = 0.0  # means over other numbers of seeds round otherwise
+    differences = _tied(differences, rounding)
+    by_site = pd.DataFrame({"difference": differences, "rounding": rounding}).groupby(labels)
+    of_sites = _tied(by_site["difference"].mean().to_numpy(), by_site["rounding"].max().to_numpy())
     lower, upper = -np.inf, np.inf
     groups = len(np.unique(labels))
     if groups > 1:
@@ -183,7 +222,7 @@ def paired_difference(
         lower=float(lower),
         upper=float(upper),
         p=_wilcoxon(differences),
-        p_sites=_wilcoxon(pd.Series(differences).groupby(labels).mean().to_numpy()),
+        p_sites=_wilcoxon(of_sites),
         effect=rank_biserial(differences),
         n=int(differences.size),
         dropped=int(np.count_nonzero(~finite)),

@@ -181,8 +181,7 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
             if len(term) != 2 or component.key not in term:
                 continue
             other = term[0] if term[1] == component.key else term[1]
-            testable = model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS
-            p = model.p_value(np.eye(len(model.terms))[k]) if testable else np.nan
+            p = model.p_value(np.eye(len(model.terms))[k]) if model.is_tested(k) else np.nan
             rows.append((component.name, names[other], sign_of(component) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
     return table.assign(q=where_known(stats.false_discovery_control, table["q"]).astype("float64"))
@@ -206,11 +205,15 @@ def _row(
     average = average_effect(component, model)
     at_full = effect_at_full(component, model, has)
     effect, error = model.contrast(average)
-    off, on = (int(count) for count in model.runs[model.terms.index((component.key,))])
+    term = model.terms.index((component.key,))
+    off, on = (int(count) for count in model.runs[term])
     row |= {"effect": effect, "full_effect": model.contrast(at_full)[0], "runs_a": on, "runs_b": off, "dof": model.dof}
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
+    if not model.is_tested(term):
+        where = " and ".join(np.array(["without it", "with it"])[~model.spread[term]])
+        return row | {"why": f"no spread: no seed changes anything in the runs {where}"}
     row["lower"], row["upper"] = model.interval(average)
     row["full_lower"], row["full_upper"] = model.interval(at_full)
     improvement = sign_of(component) * effect
