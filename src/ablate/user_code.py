@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 from importlib import import_module
@@ -29,6 +30,27 @@ def load(path: str) -> Any:
         return getattr(import_module(module), name)
     except (Exception, SystemExit) as error:  # whatever the user's module does
         raise ValueError(describe_error(error)) from error
+
+
+def load_anew(path: str) -> Any:
+    """What `load` gives in another process: modules of the user's own are run again, and those that are loaded stay.
+
+    Those that cannot be run twice, or that were edited since they were loaded, are taken as they are.
+    """
+    files = _files(*_holders(path))
+    own = [name for name in files if name in sys.modules and name != "__main__" and _own_file(name)]
+    if not own or _digest_of(files) != code_digest(path):
+        return load(path)
+    loaded = {name: sys.modules.pop(name) for name in own}
+    try:
+        anew = load(path)
+    except ValueError:
+        anew = None
+    for name in files.keys() - loaded.keys():
+        if _own_file(name):
+            sys.modules.pop(name, None)
+    sys.modules.update(loaded)
+    return load(path) if anew is None else anew
 
 
 def describe_error(error: BaseException) -> str:
@@ -80,16 +102,24 @@ def code_digest(path: str) -> str:
     The files are read once for as long as the module stays loaded: a file that is edited later is not what runs. What
     cannot be loaded is a ValueError, as in `load`.
     """
-    value = load(path)
-    holders = (path.rpartition(".")[0], getattr(value, "__module__", None))
-    modules = [sys.modules[name] for name in dict.fromkeys(holders) if name in sys.modules]
-    return _digest(*((module, id(module.__spec__)) for module in modules))
+    return _digest(*((module, id(module.__spec__)) for module in _holders(path)))
+
+
+def _holders(path: str) -> list[ModuleType]:
+    """The module that a dotted path names, and the one in which what it names was made."""
+    names = (path.rpartition(".")[0], getattr(load(path), "__module__", None))
+    return [sys.modules[name] for name in dict.fromkeys(names) if name in sys.modules]
 
 
 @lru_cache
 def _digest(*loaded: tuple[ModuleType, int]) -> str:
     """By the modules, and by their specifications, of which a module that is loaded again has a new one."""
-    files = {module.__name__: Path(str(module.__file__)) for module, _ in loaded if getattr(module, "__file__", None)}
+    return _digest_of(_files(*(module for module, _ in loaded)))
+
+
+def _files(*modules: ModuleType) -> dict[str, Path]:
+    """The source files of modules, and of all of the user's own that they import, by name."""
+    files = {module.__name__: Path(str(module.__file__)) for module in modules if getattr(module, "__file__", None)}
     to_read = list(files)
     while to_read:
         name = to_read.pop()
@@ -98,6 +128,11 @@ def _digest(*loaded: tuple[ModuleType, int]) -> str:
             if file is not None:
                 files[imported] = file
                 to_read.append(imported)
+    return files
+
+
+def _digest_of(files: Mapping[str, Path]) -> str:
+    """Of the names and contents of files."""
     digest = hashlib.sha256()
     for name in sorted(files):
         digest.update(name.encode() + hashlib.sha256(files[name].read_bytes()).digest())

@@ -49,7 +49,7 @@ def test_what_one_part_alone_lacks_is_noted_and_what_both_lack_once() -> None:
     )
 
 
-def test_a_test_frame_alone_is_rendered_again() -> None:
+def test_a_test_frame_alone_is_rendered_before_all_and_after_them() -> None:
     rendered: list[int] = []
 
     def images_of(frames: np.ndarray, _draw: int) -> np.ndarray:
@@ -57,7 +57,20 @@ def test_a_test_frame_alone_is_rendered_again() -> None:
         return np.zeros((len(frames), 10, 100), np.uint8)
 
     assert notes_of(images_of) == ()
-    assert rendered == [*range(8), 4, 4]
+    assert rendered == [4, *range(8), 4]
+
+
+def test_a_generator_that_keeps_what_it_has_rendered_is_noted() -> None:
+    """It darkens from frame to frame, by less than the rounding of a GPU between one frame and the next."""
+    seen = np.zeros(1)
+
+    def images_of(frames: np.ndarray, _draw: int) -> np.ndarray:
+        seen[0] += len(frames)
+        return np.full((len(frames), 10, 100), 200 - seen[0] // 3, np.uint8)
+
+    (note,) = notes_of(images_of)
+    assert "frame 4 differently" in note
+    assert "what it keeps of other frames" in note
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,185 @@ class NoChannels(nn.Module):
 number = 3
 """
 
+# Networks whose checkpoint is not all of them, by what a message names. `base` is a convolution of 3 x 3.
+UNSAVED = {
+    "FadesIn, with a step of its own": (
+        "seen",
+        """
+        self.seen, self.late = 0, nn.Conv2d(channels, 1, 1)
+    def forward(self, maps):
+        self.seen += self.training
+        return self.base(maps) + min(1, self.seen / 4) * self.late(maps)""",
+    ),
+    "ABufferThatIsNotPersistent": (
+        "mean",
+        """
+        self.register_buffer("mean", torch.zeros(1), persistent=False)
+    def forward(self, maps):
+        if self.training:
+            self.mean.lerp_(maps.detach().mean(), 0.1)
+        return self.base(maps - self.mean)""",
+    ),
+    "ATensorOfItsOwn": (
+        "basis",
+        """
+        self.basis = torch.randn(channels, 1, 1)
+    def forward(self, maps):
+        return self.base(maps * self.basis)""",
+    ),
+    "LayersInAList": (
+        "layers",
+        """
+        self.layers = [nn.Conv2d(1, 1, 3, padding=1)]
+    def forward(self, maps):
+        return self.layers[0](self.base(maps))""",
+    ),
+    "StatisticsOfTheFirstImage": (
+        "scale",
+        """
+        self.scale = None
+    def forward(self, maps):
+        if self.scale is None:
+            self.scale = maps.detach().abs().mean()
+        return self.base(maps / self.scale)""",
+    ),
+    "StatisticsOfTheFirstImageItRenders": (
+        "differently each time|scale",
+        """
+        self.scale = None
+    def forward(self, maps):
+        if not self.training and self.scale is None:
+            self.scale = maps.abs().mean()
+        return self.base(maps / (1 if self.training else self.scale))""",
+    ),
+    "TheImageBefore": (
+        "renders the same maps differently each time",
+        """
+        self.before = 0
+    def forward(self, maps):
+        image = self.base(maps)
+        before, self.before = self.before, image.detach().mean()
+        return image + before""",
+    ),
+    "KernelsOfTheFirstRendering": (
+        "kept",
+        """
+        self.kept = None
+    def forward(self, maps):
+        if self.training:
+            return self.base(maps)
+        if self.kept is None:
+            self.kept = 9 * self.base.weight.detach().clone()
+        return nn.functional.conv2d(maps, self.kept, padding=1)""",
+    ),
+    "ACountOfTheClass": (
+        "in its module or elsewhere",
+        """
+    calls = 0
+    def forward(self, maps):
+        Net.calls += self.training
+        return self.base(maps) * (1 + Net.calls / 4)""",
+    ),
+    "ACountOfTheModule": (
+        "in its module or elsewhere",
+        """
+    def forward(self, maps):
+        calls.extend([1] * self.training)
+        return self.base(maps) * min(2, 1 + len(calls) / 8)
+calls = []""",
+    ),
+    "ALayerOfTheFirstImage": (
+        "makes more.weight, more.bias as it renders",
+        """
+        self.more = None
+    def forward(self, maps):
+        if self.more is None:
+            self.more = nn.Conv2d(1, 1, 3, padding=1)
+        return self.more(self.base(maps))""",
+    ),
+    "ANumberOfNumPyInItsState": (
+        "its inner._extra_state cannot be read from a checkpoint",
+        """
+        self.gain = np.float64(0.5)
+    def get_extra_state(self):
+        return {"gain": self.gain}
+    def set_extra_state(self, state):
+        self.gain = state["gain"]
+    def forward(self, maps):
+        return float(self.gain) * self.base(maps)""",
+    ),
+    "AStateThatCannotBePickled": (
+        "its inner._extra_state cannot be read from a checkpoint",
+        """
+    def get_extra_state(self):
+        return lambda: 0
+    def set_extra_state(self, state):
+        pass
+    def forward(self, maps):
+        return self.base(maps)""",
+    ),
+    "SavesHalf": (
+        "what is saved of it cannot be loaded",
+        """
+    def state_dict(self, *args, **kwargs):
+        whole = super().state_dict(*args, **kwargs)
+        whole.popitem()
+        return whole
+    def forward(self, maps):
+        return self.base(maps)""",
+    ),
+}
+
+# Networks that keep something, and render what they have learnt.
+SAVED = {
+    "ASkipOnItself": """
+    def forward(self, maps):
+        self.skip = self.base(maps)
+        return self.skip * 2""",
+    "WeightNorm": """
+        self.base = torch.nn.utils.weight_norm(self.base)
+    def forward(self, maps):
+        return self.base(maps)""",
+    "SpectralNorm": """
+        self.base = torch.nn.utils.parametrizations.spectral_norm(self.base)
+    def forward(self, maps):
+        return self.base(maps)""",
+    "BatchNorm": """
+        self.norm = nn.BatchNorm2d(1)
+    def forward(self, maps):
+        return self.norm(self.base(maps))""",
+    "AGridThatIsNotPersistent": """
+        self.register_buffer("grid", torch.linspace(-1, 1, 8).expand(4, 8), persistent=False)
+    def forward(self, maps):
+        return self.base(maps) + self.grid.mean()""",
+    "ABasisOfItsOwnSeed": """
+        self.basis = torch.randn(channels, 1, 1, generator=torch.Generator().manual_seed(3))
+    def forward(self, maps):
+        return self.base(maps * self.basis)""",
+    "ACountThatDecidesNothing": """
+        self.calls, self.seen = 0, []
+    def forward(self, maps):
+        self.calls += 1
+        self.seen.append(maps.shape)
+        return self.base(maps)""",
+    "AStateOfPython": """
+        self.seen = 0
+    def get_extra_state(self):
+        return {"seen": self.seen}
+    def set_extra_state(self, state):
+        self.seen = state["seen"]
+    def forward(self, maps):
+        self.seen += self.training
+        return self.base(maps) * (1 + self.seen)""",
+}
+
+
+def networks_with(body: str) -> str:
+    """A module with a class `Net` that has this body after its first layer."""
+    start = "class Net(nn.Module):\n    def __init__(self, channels):\n        super().__init__()\n"
+    first = "        self.base = nn.Conv2d(channels, 1, 3, padding=1, bias=False)\n"
+    return f"import numpy as np\nimport torch\nfrom torch import nn\n{start}{first}{body.lstrip(chr(10))}\n"
+
 
 @pytest.fixture(autouse=True)
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,9 +237,9 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, path.stem, raising=False)
 
 
-def spec(name: str, **changes: object) -> GeneratorSpec:
+def spec(name: str, module: str = "networks_of_a_user", **changes: object) -> GeneratorSpec:
     plain = {"concat": "input", "upsampling": "transposed", "noise": "none"}
-    return GeneratorSpec(family="custom", target=f"networks_of_a_user.{name}", **{**plain, **changes})
+    return GeneratorSpec(family="custom", target=f"{module}.{name}", **{**plain, **changes})
 
 
 def test_it_reads_the_conditions_in_order_and_is_cropped_to_the_frame() -> None:
@@ -103,3 +282,20 @@ def test_what_is_wrong_with_a_class_is_named(name: str, message: str) -> None:
     with pytest.raises(ValueError, match=f"^target=networks_of_a_user.{name}: {message}"):
         check_custom(spec(name), 32)
     check_custom(spec("Sum"), 32)
+
+
+@pytest.mark.parametrize("name", UNSAVED)
+def test_a_network_that_a_checkpoint_does_not_hold_is_refused(name: str, tmp_path: Path) -> None:
+    named, body = UNSAVED[name]
+    (tmp_path / "unsaved.py").write_text(networks_with(body))
+    sys.modules.pop("unsaved", None)
+    with pytest.raises(ValueError, match=f"^target=unsaved.Net: .*(?:{named})"):
+        check_custom(spec("Net", "unsaved"), 32)
+
+
+@pytest.mark.parametrize("name", SAVED)
+@pytest.mark.filterwarnings("ignore:.*weight_norm.* is deprecated")
+def test_a_network_that_keeps_what_decides_nothing_or_is_saved_is_accepted(name: str, tmp_path: Path) -> None:
+    (tmp_path / "saved.py").write_text(networks_with(SAVED[name]))
+    sys.modules.pop("saved", None)
+    check_custom(spec("Net", "saved"), 32)

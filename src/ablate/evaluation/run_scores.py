@@ -105,6 +105,8 @@ def score_run(
     moved_images : ImageSource, optional
         Renders the frames of `scorer.moved`; without it the metrics of motion are left out.
     """
+    frame = scorer.pairs.frames(Part.test)[:1]
+    once = images_of(frame, 0)  # before all others
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
     missing: dict[Part, dict[str, str]] = {}
@@ -119,7 +121,7 @@ def score_run(
             scalars |= {f"{prefix}{mark}{name}": value for name, value in scores.scalars.items()}
         missing[part] = scored[MODEL].missing
     of_run = _of_both_parts(missing[Part.validation], missing[Part.test])
-    about_output = (*_clipped(clipping), *_unrepeated(images_of, scorer.pairs.frames(Part.test)[:1]))
+    about_output = (*_clipped(clipping), *_unrepeated(int(frame[0]), once, images_of(frame, 0)))
     return Scores(pd.concat(tables, ignore_index=True), scalars, of_run, about_output)
 
 
@@ -141,14 +143,13 @@ def _clipped(counts: list[tuple[int, int]]) -> list[str]:
     ]
 
 
-def _unrepeated(images_of: ImageSource, frame: np.ndarray) -> list[str]:
-    """A sentence if a frame, whose number `frame` holds, (1,) int, differs when it is rendered again."""
-    once = images_of(frame, 0).astype(np.int16)
-    again = images_of(frame, 0).astype(np.int16)
-    apart = int(np.abs(once - again).max(initial=0))
+def _unrepeated(frame: int, once: np.ndarray, again: np.ndarray) -> list[str]:
+    """A sentence if a frame that was rendered before all others, (1, H, W) uint8, differs after them."""
+    apart = int(np.abs(once.astype(np.int16) - again).max(initial=0))
     if apart <= MOST_APART:
         return []
     return [
-        f"The generator renders frame {frame[0]} differently each time with the same noise, by up to {apart} grey "
-        "levels (dropout that is left on does this): its scores differ from one scoring to the next."
+        f"The generator renders frame {frame} differently each time with the same noise, by up to {apart} grey levels "
+        "(dropout that is left on does this, and what it keeps of other frames): its scores differ from one scoring to "
+        "the next."
     ]

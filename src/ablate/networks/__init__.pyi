@@ -1,8 +1,11 @@
-from .custom import check_custom as check_custom
+from .custom_check import check_custom as check_custom
+from .custom_check import check_saved as check_saved
+from .custom_check import read_back as read_back
 from .export import export_onnx as export_onnx
 from .families import PatchDiscriminator as PatchDiscriminator
 from .families import discriminator_channels as discriminator_channels
 from .generator import Generator as Generator
+from .generator import copied as copied
 from .generator import gaussian_field as gaussian_field
 from .receptive_field import patch_size as patch_size
 from .receptive_field import receptive_field as receptive_field

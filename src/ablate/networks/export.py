@@ -3,7 +3,6 @@
 import json
 import logging
 import warnings
-from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ablate.extras import installing
-from ablate.networks.generator import Generator
+from ablate.networks.generator import Generator, copied
 from ablate.networks.spec import Space, conditions, map_channels
 from ablate.storage import written_whole
 
@@ -56,7 +55,7 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     if places is not None and generator.spec.space is not Space.beam:
         raise ValueError(f"places: allowed with model.space=beam, not {generator.spec.space}")
     device = next(generator.parameters()).device
-    frame = _Frame(deepcopy(generator), height, width, places).to(device).eval()
+    frame = _Frame(copied(generator), height, width, places).to(device).eval()
     map_shapes = [(1, map_channels(name, generator.labels), height, width) for name in frame.maps]
     noise_shapes = [(1, 1, *size) for size in frame.sizes.values()]
     arguments = tuple(torch.zeros(shape, device=device) for shape in (*map_shapes, *noise_shapes))

@@ -192,6 +192,14 @@ class Generator(nn.Module):
         return pyramid
 
 
+def copied(generator: Generator) -> Generator:
+    """A generator made anew with the same state, on the CPU; not every class of the user's can be copied as it is."""
+    with torch.random.fork_rng():
+        copy = Generator(generator.spec, generator.labels)
+    copy.load_state_dict(generator.state_dict())
+    return copy.train(generator.training)
+
+
 def folded(maps: Tensor, rows: int) -> Tensor:
     """Make each `rows` rows of (N, C, H, W) one row with `rows` channels in place of each: (N, C rows, H / rows, W)."""
     if rows == 1:

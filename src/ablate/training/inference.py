@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ablate.dataset import decode_grey_levels, network_inputs, noise_seeds
 from ablate.extras import installing
-from ablate.networks import Generator, Space, conditions, export_onnx
+from ablate.networks import Family, Generator, Space, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
 from ablate.training.settings import TrainingPrecision
 
@@ -179,6 +179,8 @@ def generate(
 ) -> np.ndarray:
     """Render full frames on the generator's device: one at a time, or small ones on a CPU one a thread, side by side.
 
+    A network of the user's, which may keep what it computes on itself, always renders one at a time.
+
     Parameters
     ----------
     generator : Generator
@@ -225,7 +227,8 @@ def generate(
             levels: np.ndarray = decode_grey_levels(image, fans[index].to(device)).cpu().numpy()
             return levels
 
-    if device.type == "cpu" and count > 1 and height * width <= _SMALL_FRAME_PX:
+    ours = generator.spec.family is not Family.custom
+    if ours and device.type == "cpu" and count > 1 and height * width <= _SMALL_FRAME_PX:
         with without_teams():
             frames = np.stack(in_parts(render, count, 1))
     else:

@@ -3,7 +3,7 @@
 import logging
 import signal
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import islice
@@ -17,15 +17,16 @@ from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
 from ablate.dataset.processes import Interruption
-from ablate.networks import Generator, GeneratorSpec
+from ablate.networks import Generator, GeneratorSpec, check_saved, read_back
+from ablate.networks.custom import CustomNetwork
 from ablate.setting import identity
 from ablate.storage import remove_partial, written_whole
 from ablate.threads import torch_threads
-from ablate.training.checkpoint import read_checkpoint
+from ablate.training.checkpoint import load_generator, read_checkpoint
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
-from ablate.training.settings import LAST, TRAINING_VERSION, TrainingPrecision, TrainingSettings
+from ablate.training.settings import LAST, SMALLEST_CROP, TRAINING_VERSION, TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
 Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]
@@ -84,7 +85,8 @@ def train(
     Raises
     ------
     ValueError
-        Where the crop is smaller than 2^depth, or `last.ckpt` is of another run.
+        Where the crop is smaller than 2^depth, `last.ckpt` is of another run, or a checkpoint does not give a network
+        of the user's back.
     InterruptedError
         Where a signal stopped training and the handler of that signal returned.
     DivergenceError
@@ -104,7 +106,9 @@ def train(
     start = module.steps_done
     if start < settings.steps:
         _finish(module, loader, Report(sink, validation), device, run_dir)
-    return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
+    # What is scored of a network of the user's is what its checkpoint gives, in this process as in any other.
+    trained = module.evaluated if spec.target is None else load_generator(checkpoint, spec.target)
+    return TrainedGenerator(trained.eval().to(device), checkpoint, start)
 
 
 def _finish(module: PairGAN, loader: Loader, report: Report, device: torch.device, run_dir: Path) -> None:
@@ -164,7 +168,8 @@ def _fit(
 class LastCheckpoint(Callback):
     """Write `last.ckpt` every `every` steps, after the last one and when the process is asked to stop, and then stop.
 
-    Weights that are not finite are never written: the last good checkpoint stays.
+    Weights that are not finite are never written: the last good checkpoint stays. Nor is what does not give a network
+    of the user's back.
     """
 
     def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
@@ -186,10 +191,23 @@ class LastCheckpoint(Callback):
             kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
             raise DivergenceError(f"step {module.steps_done}: weights are not finite{kept}")
         remove_partial(self.path)  # one process trains a run
+        checkpoint = module.checkpoint()
+        if isinstance(module.generator.network, CustomNetwork):
+            _check_read(module, module.generator.network, checkpoint)
         content = BytesIO()
-        torch.save(module.checkpoint(), content)  # to a path, a full disk is a RuntimeError
+        torch.save(checkpoint, content)  # to a path, a full disk is a RuntimeError
         with written_whole(self.path) as partial:
             partial.write_bytes(content.getbuffer())
+
+
+def _check_read(module: PairGAN, network: CustomNetwork, checkpoint: Mapping[str, Any]) -> None:
+    """Check that another process can read a checkpoint of a network of the user's, and renders as this one with it."""
+    state = read_back(checkpoint["state_dict"], f"target={module.spec.target}")
+    prefix = f"{'generator' if module.average is None else 'average'}.network."
+    of_network = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
+    average = None if module.average is None else list(module.average.parameters())
+    side = module.settings.crop or SMALLEST_CROP
+    check_saved(network, module.spec, module.labels, side, of_network, average)
 
 
 def resume(module: PairGAN, path: Path) -> None:

@@ -1,7 +1,6 @@
 """The conditional GAN as a LightningModule: one generated batch, a step of D, a step of G."""
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
+from torch.nn import Module
 from torch.nn import functional as F
 from torch.optim import Adam, Optimizer
 
@@ -18,6 +18,7 @@ from ablate.networks import (
     GeneratorSpec,
     PatchDiscriminator,
     conditions,
+    copied,
     discriminator_channels,
     draws_noise,
     judged,
@@ -69,7 +70,7 @@ class PairGAN(LightningModule):
                 width = settings.discriminator_width or spec.width
                 self.discriminator = PatchDiscriminator(discriminator_channels(spec, labels), width)
         if settings.ema_decay > 0:
-            self.average = deepcopy(self.generator).requires_grad_(False)
+            self.average = copied(self.generator).requires_grad_(False)
         self.steps_done = 0
         self._sums: dict[str, Tensor | float] = {}
         self._steps_summed = 0
@@ -182,6 +183,10 @@ class PairGAN(LightningModule):
             torch._foreach_lerp_(list(average.parameters()), list(self.generator.parameters()), 1 - decay)
             for averaged, newest in zip(average.buffers(), self.generator.buffers(), strict=True):
                 averaged.copy_(newest)  # as `AveragedModel` of torch does: statistics of batch norm
+        if self.spec.family is Family.custom:
+            for copy, part in zip(average.modules(), self.generator.modules(), strict=True):
+                if type(part).get_extra_state is not Module.get_extra_state:
+                    copy.set_extra_state(part.get_extra_state())
 
     def drain(self) -> dict[str, float]:
         """Return the mean of every loss since the last call, by name; this waits for the device.
