@@ -84,6 +84,35 @@ def test_a_metric_that_writes_to_its_pair_is_refused_by_name(make_frame, write):
     frame.image[0, 0] += 1  # the caller's own arrays are not locked
 
 
+IN_PLACE = {
+    "prediction": lambda pair: torch.from_numpy(pair.prediction).zero_(),
+    "mask": lambda pair: torch.from_numpy(pair.mask).logical_not_(),
+    "depth_mm": lambda pair: torch.from_numpy(pair.depth_mm).div_(10),
+    "attenuation": lambda pair: torch.from_numpy(pair.attenuation).log1p_(),
+    "draws": lambda pair: torch.from_numpy(pair.draws).neg_(),
+    "chi2_map": lambda pair: torch.from_numpy(pair.chi2_map).fill_(1),
+    "target": lambda pair: np.lib.stride_tricks.as_strided(pair.target.base).fill(0),
+    "segmentation": lambda pair: pair.segmentation.base.fill(0),
+}
+
+
+@pytest.mark.filterwarnings("ignore:The given NumPy array is not writable")
+@pytest.mark.parametrize("array", IN_PLACE)
+def test_what_a_metric_changes_past_numpy_is_its_own(make_frame, array):
+    """Torch asks no flag of NumPy; neither the caller's arrays nor those of other metrics change."""
+    frame = make_frame(0, shape=(100, 140))
+    draws, maps = np.stack([frame.image // 2, frame.image // 3]), {"segmentation": frame.segmentation}
+    values = [METRICS["mae"], METRICS["mae_fan"], METRICS["pchi2"], METRICS["shadow_contrast"]]
+    before = evaluate_image(frame.pair(draws[0], draws=draws, **maps), values)
+    pair = frame.pair(draws[0], draws=draws, **maps)
+    kept = {name: np.copy(getattr(pair, name)) for name in IN_PLACE}
+    careless = Metric("careless", of_image=lambda own: float(np.asarray(IN_PLACE[array](own) is None)))
+    after = evaluate_image(pair, [careless, *values])
+    assert after == before | {"careless": after["careless"]}
+    for name, value in kept.items():
+        np.testing.assert_array_equal(getattr(pair, name), value)
+
+
 def test_a_metric_is_one_module_and_stands_where_it_says():
     places = [metric.place for metric in METRICS.values()]
     assert places == sorted(set(places)), "in rising order, no two alike"

@@ -6,7 +6,7 @@ import numpy as np
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset.motion import Motion, Moved, places_before
-from ablate.metrics import Metric, MovedPair
+from ablate.metrics import Metric, MovedPair, apart, is_own
 
 _Images = Callable[[np.ndarray, int], np.ndarray]
 
@@ -53,6 +53,10 @@ def motion_values(
             motion = moved.motions[number]
             tissue = np.isin(pairs.stored("segmentation", int(number)), soft) & mask
             seen.append(MovedPair(before, after, mask, tissue, *places[motion], in_plane=motion is not Motion.lift))
-        of_frame = {metric.name: metric.of_motion(seen) for metric in asked if metric.of_motion is not None}
+        of_frame = {
+            metric.name: metric.of_motion([apart(pair) for pair in seen] if is_own(metric) else seen)
+            for metric in asked
+            if metric.of_motion is not None
+        }
         values[int(frame)] = {name: float(value) for name, value in of_frame.items() if value is not None}
     return values

@@ -110,6 +110,7 @@ def score_run(
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
     missing: dict[Part, dict[str, str]] = {}
+    unrepeated: dict[str, str] = {}
     for part, prefix in PREFIXES.items():
         with counted_clipping() as clipping:
             scored = {MODEL: scorer.score(part, images_of, draws_noise, moved_images=moved_images)}
@@ -120,9 +121,10 @@ def score_run(
             mark = FLOOR_PREFIX if source == RESIMULATED else ""
             scalars |= {f"{prefix}{mark}{name}": value for name, value in scores.scalars.items()}
         missing[part] = scored[MODEL].missing
+        unrepeated |= scored[MODEL].unrepeated
     of_run = _of_both_parts(missing[Part.validation], missing[Part.test])
     about_output = (*_clipped(clipping), *_unrepeated(int(frame[0]), once, images_of(frame, 0)))
-    return Scores(pd.concat(tables, ignore_index=True), scalars, of_run, about_output)
+    return Scores(pd.concat(tables, ignore_index=True), scalars, of_run, unrepeated, about_output)
 
 
 def _of_both_parts(validation: dict[str, str], test: dict[str, str]) -> dict[str, str]:

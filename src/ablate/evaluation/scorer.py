@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -26,6 +27,7 @@ from ablate.metrics import (
     bootstrap_interval,
     choose_metrics,
     evaluate_image,
+    is_own,
     speckle_features,
 )
 from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 ImageSource = Callable[[np.ndarray, int], np.ndarray]
 Features = tuple[np.ndarray, np.ndarray]  # of images and of their targets, a row each
 _BATCH = 8
+_REPEATED = 1e-6  # of a value, how far it may be from the same again: threads may round otherwise
 _SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 
 
@@ -140,11 +143,15 @@ class Scorer:
         missing = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
         computed = [metric for name, metric in self.metrics.items() if name not in missing]
         batches: list[_Scored] = []
+        first = np.empty(0)
         with tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar:
             for start in range(0, len(frames), _BATCH):
                 batch = frames[start : start + _BATCH]
-                batches.append(self._score_batch(batch, self._drawn(batch, images_of, draws_noise), computed))
+                drawn = self._drawn(batch, images_of, draws_noise)
+                batches.append(self._score_batch(batch, drawn, computed))
+                first = first if start else drawn
                 bar.update(len(batch))
+        unrepeated = self._unrepeated(frames, first, batches[0].values) if batches else {}
         sites = self.pairs.sites[frames]
         values = [values for batch in batches for values in batch.values]
         if self.moved is not None and moved_images is not None and part is Part.test:
@@ -157,7 +164,19 @@ class Scorer:
             if of_kind:
                 scalars |= _distances(of_kind, [batch.features[kind] for batch in batches], sites)
         of_frames = [metric for metric in computed if not metric.of_motion or part is Part.test]
-        return Scores(per_image, scalars, missing | without_values(of_frames, per_image))
+        return Scores(per_image, scalars, missing | without_values(of_frames, per_image), unrepeated)
+
+    def _unrepeated(self, frames: np.ndarray, drawn: np.ndarray, values: list[dict[str, float]]) -> dict[str, str]:
+        """Of each metric of the user's that gives other values of the first frames when all are scored, both values."""
+        own = replace(self, metrics={name: metric for name, metric in self.metrics.items() if is_own(metric)})
+        found: dict[str, str] = {}
+        for frame, draws, before in zip(frames if own.metrics else (), drawn, values, strict=False):
+            after, _ = own._score_frame(int(frame), draws, with_texture=False)
+            for name in own.metrics.keys() - found.keys():
+                once, again = before.get(name, math.nan), after.get(name, math.nan)
+                if not math.isclose(once, again, rel_tol=_REPEATED) and not math.isnan(once) & math.isnan(again):
+                    found[name] = f"{once:.4g} of frame {frame}, and {again:.4g}"
+        return {name: found[name] for name in self.metrics if name in found}
 
     def _drawn(self, frames: np.ndarray, images_of: ImageSource, draws_noise: bool) -> np.ndarray:
         """Images of some frames with as many draws of the noise as the metrics read, (k, draws, H, W) uint8."""
@@ -178,8 +197,8 @@ class Scorer:
             for frame, draws in zip(frames, drawn, strict=True)
         ]
         # A metric of the user's may not be made for threads, such as one that draws from NumPy's global generator.
-        ours = self.metrics.keys() <= METRICS.keys()
-        scored = side_by_side(*tasks) if ours else [task() for task in tasks]
+        has_own = any(map(is_own, self.metrics.values()))
+        scored = [task() for task in tasks] if has_own else side_by_side(*tasks)
         features: dict[FeatureKind, Features] = {}
         if with_texture:
             features[FeatureKind.speckle] = _stacked([texture for _, texture in scored])

@@ -32,6 +32,8 @@ class Scores:
         `test/floor_psnr` and `val/psnr`.
     missing : dict of str to str
         By metric that was asked for and not computed the reason, the end of a sentence.
+    unrepeated : dict of str to str
+        By metric of the user's that gave another value of the same image when it was asked again, the values.
     about_output : tuple of str
         Of a run, sentences about values that were clipped, and images that differ when they are rendered again.
     """
@@ -39,16 +41,19 @@ class Scores:
     per_image: pd.DataFrame
     scalars: dict[str, float]
     missing: dict[str, str] = field(default_factory=dict)
+    unrepeated: dict[str, str] = field(default_factory=dict)
     about_output: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences about metrics that were not computed, those of one reason together, and about the output."""
+        """Sentences about metrics that were not computed, those of one reason together, and about what is unsteady."""
         by_reason: dict[str, list[str]] = {}
         for name, reason in self.missing.items():
             by_reason.setdefault(reason, []).append(name)
         not_computed = [f"{' and '.join(names)}: not computed, {reason}." for reason, names in by_reason.items()]
-        return (*not_computed, *self.about_output)
+        why = "it draws random numbers, or keeps what it has seen: its scores differ from one scoring to the next"
+        unrepeated = [f"{name}: {values} when it was asked again; {why}." for name, values in self.unrepeated.items()]
+        return (*not_computed, *unrepeated, *self.about_output)
 
     def of_metric(self, name: str) -> Scores:
         """The scores of one metric, as if it alone had been asked for."""
@@ -62,6 +67,7 @@ class Scores:
             per_image=self.per_image[self.per_image["metric"] == name].reset_index(drop=True),
             scalars={key: value for key, value in self.scalars.items() if key in scalars},
             missing={key: reason for key, reason in self.missing.items() if key == name},
+            unrepeated={key: values for key, values in self.unrepeated.items() if key == name},
             about_output=self.about_output,
         )
 
@@ -70,12 +76,15 @@ def joined(scores: Sequence[Scores]) -> Scores:
     """The scores of different metrics of the same images as one; rows are frame by frame, as of one scoring."""
     scalars: dict[str, float] = {}
     missing: dict[str, str] = {}
+    unrepeated: dict[str, str] = {}
     about_output: dict[str, None] = {}
     for each in scores:
         scalars |= each.scalars
         missing |= each.missing
+        unrepeated |= each.unrepeated
         about_output |= dict.fromkeys(each.about_output)
-    return Scores(_frame_by_frame([each.per_image for each in scores]), scalars, missing, tuple(about_output))
+    per_image = _frame_by_frame([each.per_image for each in scores])
+    return Scores(per_image, scalars, missing, unrepeated, tuple(about_output))
 
 
 def _frame_by_frame(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:

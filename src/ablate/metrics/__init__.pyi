@@ -24,8 +24,10 @@ from .patches import rms as rms
 from .registry import METRIC_SETS as METRIC_SETS
 from .registry import METRICS as METRICS
 from .registry import METRICS_VERSION as METRICS_VERSION
+from .registry import apart as apart
 from .registry import choose_metrics as choose_metrics
 from .registry import evaluate_image as evaluate_image
+from .registry import is_own as is_own
 from .registry import metric_of as metric_of
 from .registry import needs_inception as needs_inception
 from .registry import shown_in as shown_in

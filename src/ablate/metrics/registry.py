@@ -5,11 +5,15 @@ A new metric of the package is one module below `ablate.metrics` with a function
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
 from importlib import import_module
 from pkgutil import walk_packages
+from typing import Any, TypeVar
+
+import numpy as np
 
 from ablate import metrics as package
-from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, Pair, Shown, is_bound
+from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, MovedPair, Pair, Shown, is_bound
 from ablate.setting import check_name
 from ablate.user_code import code_digest, load
 
@@ -35,6 +39,7 @@ METRIC_SETS = {
 }
 _COLUMNS = {"variant", "seed", "data", "encoding", "encoding_seed", "probe", "preset", "scene"}  # of runs.csv
 _OWN: dict[str, Metric] = {}  # of the user, since they were chosen
+PairOfAKind = TypeVar("PairOfAKind", Pair, MovedPair)
 
 
 def metric_of(name: str) -> Metric:
@@ -47,11 +52,24 @@ def shown_in(place: Shown) -> list[str]:
     return [metric.name for metric in (*METRICS.values(), *_OWN.values()) if metric.shown & place]
 
 
+def is_own(metric: Metric) -> bool:
+    """Whether a metric is one of the user, whose code may do anything."""
+    return METRICS.get(metric.name) is not metric
+
+
+def apart(pair: PairOfAKind) -> PairOfAKind:
+    """A pair with arrays of its own: torch writes to what NumPy has locked."""
+    values = {field.name: getattr(pair, field.name) for field in fields(pair)}
+    copied: dict[str, Any] = {name: value.copy() for name, value in values.items() if isinstance(value, np.ndarray)}
+    return replace(pair, **copied)
+
+
 def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> dict[str, float]:
     """Every per-image metric that this pair allows, by name.
 
     Metrics that the frame offers nothing for (no shadow in it, no tissue mask, no draws) are left out. `psnr` may be
-    inf, of identical images. No other metric of the package is NaN or infinite, but one of the user's may be.
+    inf, of identical images. No other metric of the package is NaN or infinite, but one of the user's may be. A metric
+    of the user's gets arrays of its own, so that what it changes is not what others read.
 
     What a metric raises, such as a ValueError where it writes to an array of the pair, has a note that names it.
     """
@@ -61,7 +79,7 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
             measure = metric.of_image
             if pair.draws is not None and metric.of_draws is not None:
                 measure = metric.of_draws
-            value = None if measure is None else measure(pair)
+            value = None if measure is None else measure(apart(pair) if is_own(metric) else pair)
             if value is not None:
                 values[metric.name] = float(value)
         except Exception as error:
