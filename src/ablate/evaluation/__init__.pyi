@@ -5,6 +5,7 @@ from .scorer import Scorer as Scorer
 from .scorer import describes_fan as describes_fan
 from .scorer import tissue_labels as tissue_labels
 from .scores import Scores as Scores
+from .scores import averaged as averaged
 from .scores import joined as joined
 from .settings import EvaluationSettings as EvaluationSettings
 from .timing import time_in_turns as time_in_turns

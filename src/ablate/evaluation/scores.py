@@ -78,6 +78,23 @@ def joined(scores: Sequence[Scores]) -> Scores:
     return Scores(_frame_by_frame([each.per_image for each in scores]), scalars, missing, tuple(about_output))
 
 
+def averaged(scores: Sequence[Scores]) -> Scores:
+    """Means of several scorings of the same frames, such as of the weights of several steps of a training.
+
+    A value that one of them lacks is the mean of the others. Reasons and sentences are those of the last.
+    """
+    if len(scores) == 1:
+        return scores[0]
+    last = scores[-1]
+    tables = pd.concat([each.per_image for each in scores], ignore_index=True)
+    keys = [column for column in tables if column != "value"]
+    means = tables.groupby(keys, sort=False, dropna=False)["value"].mean()
+    per_image = means.reset_index().reindex(columns=last.per_image.columns)
+    names = dict.fromkeys(name for each in scores for name in each.scalars)
+    scalars = {name: float(np.mean([each.scalars[name] for each in scores if name in each.scalars])) for name in names}
+    return Scores(per_image, scalars, last.missing, last.about_output)
+
+
 def _frame_by_frame(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Tables of metrics one below the other, and the rows of a frame, of one source and part, together."""
     with_rows = [table for table in tables if len(table)] or tables[:1]
