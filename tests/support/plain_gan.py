@@ -112,7 +112,7 @@ class PlainLocal(nn.Module):
 
 
 class PlainUNet(nn.Module):
-    """pix2pix's U-Net without dropout, with the norm after each activation; its parameters are named as those of `UNetwork`."""
+    """The U-Net of pix2pix without dropout and with norms after activations; parameters are named as in `UNetwork`."""
 
     def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()

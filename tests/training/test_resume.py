@@ -449,5 +449,5 @@ def test_a_snapshot_that_cannot_be_read_is_named(tmp_path: Path, content: bytes 
     path.unlink()
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ValueError, match="step-19.pt: not the weights of this network"):
+    with pytest.raises(ValueError, match=r"step-19\.pt: not the weights of this network"):
         train(SPEC, settings, loader, tmp_path)
