@@ -5,7 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
+from ablate.analysis.scored import (
+    BASELINES,
+    REFERENCE,
+    RESIMULATION,
+    every_frame,
+    is_network,
+    ordered_metrics,
+    ordered_variants,
+)
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.templates import filled
 from ablate.metrics import METRICS, metric_of
@@ -31,7 +39,7 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
 
     `blocks` has the same of runs on other anatomies or data sets, which verdicts use too, with a column data in both.
     """
-    networks = per_image[per_image["variant"] != RESIMULATION]
+    networks = per_image[is_network(per_image["variant"])]
     variants = ordered_variants(list(networks["variant"]), reference)
     seeds = networks.groupby("variant")["seed"].nunique()
     of_all_data = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
@@ -57,12 +65,12 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
 def _times_of_resimulation(per_image: pd.DataFrame) -> float:
     """How many times the error of re-simulation the best network has; NaN where it is not known."""
     errors = per_image[per_image["metric"] == CONTROL].groupby("variant")["value"].mean().replace(0.0, np.nan)
-    return errors.drop(RESIMULATION, errors="ignore").min() / errors.get(RESIMULATION, np.nan)
+    return errors.drop([*BASELINES.values()], errors="ignore").min() / errors.get(RESIMULATION, np.nan)
 
 
 def _short_runs(per_image: pd.DataFrame) -> list[str]:
     """The runs that have fewer test frames than another one of their data set, and how many."""
-    networks = per_image[per_image["variant"] != RESIMULATION]
+    networks = per_image[is_network(per_image["variant"])]
     frames = networks.groupby(["data", "variant", "seed"])["frame"].nunique().reset_index()
     frames["most"] = frames.groupby("data")["frame"].transform("max")
     short = frames[frames["frame"] < frames["most"]].to_dict("records")

@@ -9,7 +9,7 @@ import pandas as pd
 from ablate.analysis.caution_texts import cautions
 from ablate.analysis.figures.study_figure import DrawnFigure, Section
 from ablate.analysis.results import StudyResults
-from ablate.analysis.scored import RESIMULATION
+from ablate.analysis.scored import RESIMULATION, is_network
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.tables import cell_texts, resimulation_note
 from ablate.analysis.templates import filled
@@ -92,7 +92,7 @@ def _inlined(figures: Sequence[DrawnFigure], section: Section) -> list[tuple[str
 
 def _compared(per_image: pd.DataFrame) -> str:
     """One sentence on what the numbers are over."""
-    networks = per_image[per_image["variant"] != RESIMULATION]
+    networks = per_image[is_network(per_image["variant"])]
     seeds = networks.groupby("variant")["seed"].nunique()
     counts = ""
     if len(seeds):

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, variant_group
+from ablate.analysis.scored import BASELINES, REFERENCE, RESIMULATION, is_network, variant_group
 from ablate.metrics import Direction, Resimulation, metric_of
 
 NOTHING = "–"  # where a variant has no value
@@ -122,7 +122,7 @@ def to_markdown(table: pd.DataFrame) -> str:
         ["---", "---:", *("---:" for _ in metrics)],
     ]
     for variant in variants:
-        trained = NOTHING if variant == RESIMULATION else str(seeds[variant])
+        trained = NOTHING if variant in BASELINES.values() else str(seeds[variant])
         lines.append([variant, trained, *(_emphasised(cells[variant, metric]) for metric in metrics)])
     rows = [" | ".join(text.replace("|", r"\|") for text in line) for line in lines]
     return "".join(f"| {row} |\n" for row in rows)
@@ -186,7 +186,7 @@ def _bold_or_plain(cell: Cell) -> str:
 
 
 def _caption(table: pd.DataFrame, metrics: list[str]) -> str:
-    networks = table[table["variant"] != RESIMULATION]
+    networks = table[is_network(table["variant"])]
     frames = int(((table["n"] + table["dropped"]) / table["seeds"]).max())  # 1 of metrics with a value a run
     text = f"Mean and standard deviation over {frames} test frames" if frames > 1 else "Mean"
     note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""

@@ -1,4 +1,7 @@
-from .run_scores import resimulation_images as resimulation_images
+from .baselines import baselines as baselines
+from .baselines import formula_images as formula_images
+from .baselines import formula_maps as formula_maps
+from .baselines import resimulation_images as resimulation_images
 from .run_scores import score_run as score_run
 from .scorer import ImageSource as ImageSource
 from .scorer import Scorer as Scorer

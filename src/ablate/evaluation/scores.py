@@ -11,7 +11,7 @@ import pandas as pd
 from ablate.dataset import Part
 from ablate.metrics import METRICS, FeatureKind, InceptionFeatures, Metric, patches_inside
 from ablate.metrics.features import CENTRE, PATCH
-from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX
+from ablate.metrics.metric import BOUNDS, SCALAR_PREFIXES
 
 #: What stands before the scalars of a part in the scores of a run.
 PREFIXES = {Part.validation: "val/", Part.test: "test/"}
@@ -24,8 +24,8 @@ class Scores:
     Attributes
     ----------
     per_image : DataFrame
-        Columns frame, site, metric, value, and in the scores of a run source (`model`, `resimulation`) and split:
-        infinite PSNR where an image equals its target, NaN or infinite where a user's own metric failed.
+        Columns frame, site, metric, value, and in the scores of a run source (`model`, or that of a baseline) and
+        split: infinite PSNR where an image equals its target, NaN or infinite where a user's own metric failed.
     scalars : dict of str to float
         The mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`, ...);
         `_lower` and `_upper` are the ends of a 95 % interval. Those of a run have names such as `test/psnr`,
@@ -55,7 +55,7 @@ class Scores:
         scalars = {
             f"{part}{mark}{name}{bound}"
             for part in ("", *PREFIXES.values())
-            for mark in ("", FLOOR_PREFIX)
+            for mark in SCALAR_PREFIXES.values()
             for bound in ("", *(f"_{side}" for side in BOUNDS))
         }
         return Scores(

@@ -14,11 +14,13 @@ from ablate.metrics.patches import check_pair, patch_chi2
 
 # Names in stored scores, once for all rooms that write or read them.
 SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
-MODEL, RESIMULATED = "model", "resimulation"  # of images: the trained generator, or simulated again
+MODEL, RESIMULATED, FORMULA = "model", "resimulation", "formula"  # sources of images: a trained generator, and none
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
 FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles
-FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
+# What stands before the scalars of a source, as in `test/floor_psnr`.
+SCALAR_PREFIXES = {MODEL: "", RESIMULATED: "floor_", FORMULA: "formula_"}
+BASELINE_PREFIXES = (SCALAR_PREFIXES[RESIMULATED], SCALAR_PREFIXES[FORMULA])
 # Kinds of NumPy's types that an array of a pair may have, and how a message calls them.
 _NUMBERS = "fiu"
 _KINDS = {"mask": "b", "tissue_mask": "b", "bone_mask": "b", "draws": "u", "segmentation": "iu"}

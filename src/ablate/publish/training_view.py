@@ -16,7 +16,7 @@ from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, Run,
 from PIL import Image
 
 from ablate.dataset.pairs import FORMATS
-from ablate.metrics.metric import FLOOR_PREFIX, is_bound
+from ablate.metrics.metric import BASELINE_PREFIXES, is_bound
 from ablate.networks.spec import GeneratorSpec
 from ablate.publish.store import Store, plain_files
 from ablate.setting import flat
@@ -251,5 +251,6 @@ def _publish_scores(store: Store, run_id: str, training: Training, scores: Seque
 
 
 def _is_shown(scalar: str) -> bool:
-    """Whether MLflow shows a scalar: no bound of an interval, and no re-simulation on validation frames."""
-    return not scalar.startswith(f"val/{FLOOR_PREFIX}") and not is_bound(scalar)
+    """Whether MLflow shows a scalar: no bound of an interval, and no baseline on validation frames."""
+    of_baseline = scalar.startswith(tuple(f"val/{prefix}" for prefix in BASELINE_PREFIXES))
+    return not of_baseline and not is_bound(scalar)

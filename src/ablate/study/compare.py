@@ -68,7 +68,7 @@ def compare_study(
         if not rebuild:
             asked = with_earlier(asked)
         usable = comparable_runs(asked)
-        failed = time_networks(asked.folder, usable.all, named) if time_here else ""
+        failed = time_networks(asked.folder, usable.all, named, asked.reference) if time_here else ""
         return _compare(asked, usable, title, rebuild, failed)
 
 

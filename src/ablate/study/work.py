@@ -15,7 +15,7 @@ import numpy as np
 
 from ablate import dataset
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
-from ablate.evaluation import ImageSource, Scorer, Scores, averaged, score_run
+from ablate.evaluation import ImageSource, Scorer, Scores, averaged, baselines, score_run
 from ablate.metrics import choose_metrics, inception_file, load_inception, needs_inception
 from ablate.metrics.features import CENTRE
 from ablate.networks import Generator, conditions, draws_noise
@@ -194,7 +194,8 @@ def _scored(
     render_moved = None
     if data.moved is not None:
         render_moved = generated_images(generator, data.moved.pairs, values, precision, data.moved.before)
-    return score_run(of_asked, render, draws_noise(settings.model), render_moved)
+    beside = baselines(of_asked, settings.model)
+    return score_run(of_asked, render, draws_noise(settings.model), render_moved, beside)
 
 
 def scorer(settings: StudySettings, data: DataSet) -> Scorer:
