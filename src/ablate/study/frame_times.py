@@ -112,9 +112,7 @@ def untimed(runs: Sequence[Run]) -> list[str]:
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
 
 
-def time_networks(
-    study_dir: Path, runs: Sequence[Run], named: Collection[str] = (), reference: str = REFERENCE
-) -> str:
+def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] = (), reference: str = REFERENCE) -> str:
     """Time the networks of the runs and the formula, unless this machine has timed all of them before.
 
     Times of different moments do not compare well, so where one is missing all are measured again. Without a checkpoint

@@ -106,9 +106,9 @@ def _finite_differences(per_image: pd.DataFrame, metric: str, reference: str) ->
 def _draw_boxes(axes: Axes, metric: str, differences: Mapping[str, np.ndarray], places: Mapping[str, int]) -> None:
     if RESIMULATION in differences:
         lower, upper = np.quantile(differences[RESIMULATION], [0.25, 0.75])
-        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0, label="quartiles of re-simulation")
+        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0, label=f"{RESIMULATION}, quartiles")
     medians = {name: float(np.median(differences[name])) for name in BASELINES.values() if name in differences}
-    draw_baselines(axes, metric, medians, "median of ")
+    draw_baselines(axes, metric, medians, ", median")
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     axes.boxplot([differences[name] for name in places], positions=list(places.values()), **BOX_STYLE)
 

@@ -130,15 +130,15 @@ def axis_title(metric: str, shown: str = "{}") -> str:
     return f"{shown.format(entry.label)}\n{', '.join(below)}"
 
 
-def baseline_line(metric: str, baseline: str = RESIMULATION, before: str = "") -> dict[str, Any]:
+def baseline_line(metric: str, baseline: str = RESIMULATION, after: str = "") -> dict[str, Any]:
     """How a figure draws a baseline, as one entry of the legend; re-simulation is dashed for a floor, else dotted."""
     if baseline == FORMULA:
-        return {"color": FORMULA_COLOUR, "ls": "-.", "label": f"{before}{baseline}"}
+        return {"color": FORMULA_COLOUR, "ls": "-.", "label": f"{baseline}{after}"}
     style = "--" if metric_of(metric).resimulation is Resimulation.floor else ":"
-    return {"color": FLOOR_COLOUR, "ls": style, "label": f"{before}{baseline} (dashed: floor, dotted: level)"}
+    return {"color": FLOOR_COLOUR, "ls": style, "label": f"{baseline}{after} (dashed: floor, dotted: level)"}
 
 
-def draw_baselines(axes: Axes, metric: str, values: Mapping[str, float], before: str = "") -> None:
+def draw_baselines(axes: Axes, metric: str, values: Mapping[str, float], after: str = "") -> None:
     """Draw the baselines as vertical lines where they are finite.
 
     Parameters
@@ -149,12 +149,12 @@ def draw_baselines(axes: Axes, metric: str, values: Mapping[str, float], before:
         Of the panel.
     values : mapping of str to float
         What each scores, in units of the metric.
-    before : str
-        What stands before their names in the legend.
+    after : str
+        What stands behind their names in the legend.
     """
     for baseline, value in values.items():
         if np.isfinite(value):
-            axes.axvline(value, lw=1.0, zorder=1, **baseline_line(metric, baseline, before))
+            axes.axvline(value, lw=1.0, zorder=1, **baseline_line(metric, baseline, after))
 
 
 def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:
