@@ -44,6 +44,8 @@ class Baseline:
         Renders frames of the data set.
     moved_images : ImageSource, optional
         Renders those after motions.
+    beam_images : ImageSource, optional
+        Renders them in beam space.
     recipe : mapping
         What decides its images beside the data set, as JSON values.
     """
@@ -51,6 +53,7 @@ class Baseline:
     name: str
     images: ImageSource
     moved_images: ImageSource | None
+    beam_images: ImageSource | None
     recipe: Mapping[str, Any]
 
 
@@ -63,24 +66,31 @@ def baselines(scorer: Scorer, spec: GeneratorSpec) -> tuple[Baseline, ...]:
     from ablate.ultrasound.imaging.formula import FORMULA_VERSION
 
     pairs, moved = scorer.pairs, scorer.moved
-    found = []
+    found, in_beam = [], spec.space is Space.beam
     if "resimulation" in pairs.maps:
         of_moved = None if moved is None else resimulation_images(moved.pairs)
-        found.append(Baseline(RESIMULATED, resimulation_images(pairs), of_moved, {}))
+        of_beam = resimulation_images(pairs, Space.beam) if in_beam else None
+        found.append(Baseline(RESIMULATED, resimulation_images(pairs), of_moved, of_beam, {"space": spec.space}))
     if pairs.simulator is not None:
         images = formula_images(scorer.tissues, pairs, spec)
+        of_beam = formula_images(scorer.tissues, pairs, spec, space=Space.beam) if in_beam else None
         of_moved = None if moved is None else formula_images(scorer.tissues, moved.pairs, spec, moved.before)
-        found.append(Baseline(FORMULA, images, of_moved, {"maps": formula_maps(spec), "version": FORMULA_VERSION}))
+        recipe = {"space": spec.space, "maps": formula_maps(spec), "version": FORMULA_VERSION}
+        found.append(Baseline(FORMULA, images, of_moved, of_beam, recipe))
     return tuple(found)
 
 
-def resimulation_images(pairs: Pairs) -> ImageSource:
+def resimulation_images(pairs: Pairs, space: Space = Space.image) -> ImageSource:
     """The re-simulated frames; an odd noise draw gives the target, which has other scatterers and paths again."""
-    return lambda frames, draw: pairs.read("target" if draw % 2 else "resimulation", frames)
+    return lambda frames, draw: pairs.read("target" if draw % 2 else "resimulation", frames, space)
 
 
 def formula_images(
-    tissues: tuple[Tissue, ...], pairs: Pairs, spec: GeneratorSpec, noise_of: np.ndarray | None = None
+    tissues: tuple[Tissue, ...],
+    pairs: Pairs,
+    spec: GeneratorSpec,
+    noise_of: np.ndarray | None = None,
+    space: Space = Space.image,
 ) -> Callable[..., np.ndarray]:
     """The frames as the formula renders them from the maps that a network of `spec` reads.
 
@@ -94,6 +104,8 @@ def formula_images(
         See `baselines`.
     noise_of : (frames,) int, optional
         For each frame the number whose noise it has, in place of its own.
+    space : Space
+        Of the frames that are returned.
 
     Returns
     -------
@@ -114,7 +126,8 @@ def formula_images(
             formula(formula.insonified({name: values[index] for name, values in maps.items()}), int(seed))
             for index, seed in enumerate(seeds)
         ]
-        return pairs.converter.to_image(np.stack(made))
+        frames_in_beam = np.stack(made)
+        return frames_in_beam if space is Space.beam else pairs.converter.to_image(frames_in_beam)
 
     return render
 
@@ -144,7 +157,13 @@ def baseline_scores(scorer: Scorer, baseline: Baseline, part: Part) -> Scores:
 
 
 def _score(scorer: Scorer, baseline: Baseline, part: Part) -> Scores:
-    return scorer.score(part, baseline.images, draws_noise=True, moved_images=baseline.moved_images)
+    return scorer.score(
+        part,
+        baseline.images,
+        draws_noise=True,
+        moved_images=baseline.moved_images,
+        beam_images=baseline.beam_images,
+    )
 
 
 def _kept_scores(scorer: Scorer, baseline: Baseline, part: Part) -> dict[str, Scores]:

@@ -22,6 +22,7 @@ def score_run(
     images_of: ImageSource,
     draws_noise: bool,
     moved_images: ImageSource | None = None,
+    beam_images: ImageSource | None = None,
     beside: Sequence[Baseline] = (),
 ) -> Scores:
     """Score a generator on validation and test frames, and the baselines beside it.
@@ -40,6 +41,8 @@ def score_run(
         Whether a second noise draw can give another image.
     moved_images : ImageSource, optional
         Renders the frames of `scorer.moved`; without it the metrics of motion are left out.
+    beam_images : ImageSource, optional
+        Renders the frames of a generator in beam space before scan conversion.
     beside : sequence of Baseline
         Those of `baselines`.
     """
@@ -48,7 +51,7 @@ def score_run(
     missing: dict[Part, dict[str, str]] = {}
     for part, prefix in PREFIXES.items():
         with counted_clipping() as clipping:
-            scored = {MODEL: scorer.score(part, images_of, draws_noise, moved_images=moved_images)}
+            scored = {MODEL: scorer.score(part, images_of, draws_noise, None, moved_images, beam_images)}
         scored |= {baseline.name: baseline_scores(scorer, baseline, part) for baseline in beside}
         for source, scores in scored.items():
             tables.append(scores.per_image.assign(source=source, split=part.name))

@@ -36,6 +36,16 @@ class Direction(Enum):
     none = "none"  # the metric describes, it does not judge
 
 
+class Pixels(StrEnum):
+    """Which frames a metric is of: the images, or the frames on the network's own grid, mostly that of beam space.
+
+    Scan conversion hides a pattern of beam space.
+    """
+
+    image = "image"
+    network = "network"
+
+
 class Resimulation(StrEnum):
     """What the same frame simulated with other scatterers and other paths tells about a metric."""
 
@@ -213,6 +223,8 @@ class Metric:
         Where it is shown beside `table.csv`, the statistics and its own figure.
     of_image : callable, optional
         Takes a `Pair` and gives a value, or None where the image offers nothing to measure.
+    pixels : Pixels
+        What the pair of `of_image` shows.
     of_set : SetDistance, optional
         A distance between all rendered images and all targets.
     of_draws : callable, optional
@@ -234,6 +246,7 @@ class Metric:
     decimals: int = 3
     shown: Shown = Shown.nowhere
     of_image: ImageMetric | None = None
+    pixels: Pixels = Pixels.image
     of_set: SetDistance | None = None
     of_draws: ImageMetric | None = None
     of_motion: MotionMetric | None = None

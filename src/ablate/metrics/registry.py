@@ -15,7 +15,7 @@ from ablate.user_code import code_digest, load
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
 #: made anew.
-METRICS_VERSION = 2
+METRICS_VERSION = 3
 
 
 def _declared() -> dict[str, Metric]:

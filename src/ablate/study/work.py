@@ -18,7 +18,7 @@ from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, Scores, averaged, baselines, score_run
 from ablate.metrics import choose_metrics, inception_file, load_inception, needs_inception
 from ablate.metrics.features import CENTRE
-from ablate.networks import Generator, conditions, draws_noise
+from ablate.networks import Generator, Space, conditions, draws_noise
 from ablate.settings.study import ConfigurationError, StudySettings, Verbosity
 from ablate.sources.data_set import DataSet, maps_needed
 from ablate.sources.prepare import prepare_data
@@ -194,8 +194,17 @@ def _scored(
     render_moved = None
     if data.moved is not None:
         render_moved = generated_images(generator, data.moved.pairs, values, precision, data.moved.before)
-    beside = baselines(of_asked, settings.model)
-    return score_run(of_asked, render, draws_noise(settings.model), render_moved, beside)
+    render_beam = None
+    if settings.model.space is Space.beam:
+        render_beam = generated_images(generator, data.pairs, values, precision, shown_in=Space.beam)
+    return score_run(
+        of_asked,
+        render,
+        draws_noise(settings.model),
+        moved_images=render_moved,
+        beam_images=render_beam,
+        beside=baselines(of_asked, settings.model),
+    )
 
 
 def scorer(settings: StudySettings, data: DataSet) -> Scorer:
