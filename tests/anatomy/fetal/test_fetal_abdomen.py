@@ -129,7 +129,7 @@ def test_sites_look_at_the_fetus_of_every_pregnancy(built, mesh_of, seed: int) -
 
 
 def test_what_a_pregnancy_lacks_is_no_structure() -> None:
-    """The placenta of seed 10 has no lakes of blood."""
+    """The placenta of seed 10 has no vessels."""
     scene = fetal_abdomen(4_000, seed=10)
     assert all(len(structure.mesh.faces) for structure in scene.structures)
     assert len(scene.structures) == len(fetal_abdomen(4_000, seed=0).structures) - 1
