@@ -22,6 +22,7 @@ from ablate.evaluation import (
     ImageSource,
     Scorer,
     Scores,
+    averaged,
     baselines,
     joined,
     resimulation_images,
@@ -381,3 +382,18 @@ def test_metrics_added_later_are_computed_without_training(runs: Path, network: 
     assert {"test/pchi2", "test/kid", "test/mae"} <= after.keys()
     assert (after["test/mae"], after["train/seconds"]) == (before["test/mae"], before["train/seconds"])
     assert set(run_of(more).scores["metric"]) == {"mae", "pchi2"}
+
+
+def test_scores_of_several_snapshots_are_their_means() -> None:
+    def scores(value: float, *frames: int) -> Scores:
+        rows = [(frame, 0, "mae", value + frame, "model", "test") for frame in frames]
+        columns = ["frame", "site", "metric", "value", "source", "split"]
+        return Scores(pd.DataFrame(rows, columns=columns), {"test/mae": value}, {"fid": "none"}, (str(value),))
+
+    mean = averaged([scores(1.0, 0, 1), scores(4.0, 0, 1, 2)])
+    assert mean.per_image["value"].tolist() == [2.5, 3.5, 6.0]
+    assert list(mean.per_image) == ["frame", "site", "metric", "value", "source", "split"]
+    assert mean.scalars == {"test/mae": 2.5}
+    assert mean.about_output == ("4.0",)
+    one = scores(1.0, 0)
+    assert averaged([one]) is one

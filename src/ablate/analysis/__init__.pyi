@@ -15,6 +15,7 @@ from .figures.study_figure import Section as Section
 from .pictures import FramePictures as FramePictures
 from .report import write_report as write_report
 from .results import StudyResults as StudyResults
+from .scale import scale_table as scale_table
 from .scored import BASELINES as BASELINES
 from .scored import REFERENCE as REFERENCE
 from .scored import RESIMULATION as RESIMULATION

@@ -144,6 +144,9 @@ def write_comparison(study: Study, title: str) -> list[str]:
     partial.mkdir(parents=True)
     results, missing = _with_pictures(study)
     notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*results.table["metric"]} - {FRAME_TIME})]
+    scale = analysis.scale_table(results.table)
+    if len(scale):
+        scale.rename_axis("variant").to_csv(partial / "scale.csv")
     analysis.write_report(
         partial / "report.html",
         results,
