@@ -1,7 +1,6 @@
 """Each component's primary metric sees what the component is for: a positive control on simulated frames."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,7 +64,7 @@ def test_a_metric_sees_what_its_component_is_for(data: DataSet, component) -> No
     assert _scores(data, component.metric, WRONG[component.metric]) - right > component.band
 
 
-def test_scan_conversion_hides_the_pattern_that_is_seen_on_the_networks_grid(data: DataSet, tmp_path: Path) -> None:
+def test_scan_conversion_hides_the_pattern_that_is_seen_on_the_networks_grid(data: DataSet) -> None:
     pairs = data.pairs
     assert pairs.probe is not None
     scorer = Scorer(pairs, data.tissues, pairs.probe, metrics=choose_metrics(["nyquist_excess"]))

@@ -63,7 +63,7 @@ def baselines(scorer: Scorer, spec: GeneratorSpec) -> tuple[Baseline, ...]:
     `spec` says which maps the formula reads: the illumination and the interface map where a network reads them, else S
     and A, and the lattice of scatterers where it is the network's noise.
     """
-    from ablate.ultrasound.imaging.formula import FORMULA_VERSION
+    from ablate.ultrasound.formula import FORMULA_VERSION
 
     pairs, moved = scorer.pairs, scorer.moved
     found, in_beam = [], spec.space is Space.beam
@@ -112,7 +112,7 @@ def formula_images(
     callable
         As that of `training.generated_images`.
     """
-    from ablate.ultrasound.imaging.formula import Formula
+    from ablate.ultrasound.formula import Formula
 
     assert pairs.probe is not None
     assert pairs.simulator is not None
