@@ -2,11 +2,11 @@ from .baselines import baselines as baselines
 from .baselines import formula_images as formula_images
 from .baselines import formula_maps as formula_maps
 from .baselines import resimulation_images as resimulation_images
+from .known import describes_fan as describes_fan
+from .known import tissue_labels as tissue_labels
 from .run_scores import score_run as score_run
 from .scorer import ImageSource as ImageSource
 from .scorer import Scorer as Scorer
-from .scorer import describes_fan as describes_fan
-from .scorer import tissue_labels as tissue_labels
 from .scores import Scores as Scores
 from .scores import averaged as averaged
 from .scores import joined as joined

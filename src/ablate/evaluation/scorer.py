@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset import Part
+from ablate.evaluation.known import describes_fan, tissue_labels
 from ablate.evaluation.moved import motion_values
 from ablate.evaluation.scores import Scores, not_computed, without_values
 from ablate.evaluation.settings import EvaluationSettings
@@ -32,7 +33,7 @@ from ablate.metrics import (
 from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
 from ablate.networks import Space
 from ablate.threads import side_by_side
-from ablate.ultrasound import Probe, fan_mask
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 if TYPE_CHECKING:
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 ImageSource = Callable[[np.ndarray, int], np.ndarray]
 Features = tuple[np.ndarray, np.ndarray]  # of images and of their targets, a row each
 _BATCH = 8
-_SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 
 
 class _Scored(NamedTuple):
@@ -51,19 +51,6 @@ class _Scored(NamedTuple):
 
     values: list[dict[str, float]]
     features: dict[FeatureKind, Features]
-
-
-def tissue_labels(
-    tissues: tuple[Tissue, ...], kinds: Collection[TissueKind] = (TissueKind.soft, TissueKind.bone)
-) -> np.ndarray:
-    """Labels of some kinds of tissue, uint8; those of soft tissue and bone leave out gas and fluid."""
-    return np.array([label for label, tissue in enumerate(tissues, start=1) if tissue.kind in kinds], np.uint8)
-
-
-def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
-    """Whether a fan is that of a probe, up to a few pixels; only then are the depths of the pixels known."""
-    expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
-    return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -279,34 +279,3 @@ class Metric:
 def is_bound(name: str) -> bool:
     """Whether a scalar is an end of the interval of another."""
     return any(name.endswith(f"_{side}") for side in BOUNDS)
-
-
-# Metrics that no pair of images gives.
-ENVELOPE_RMS = Metric(
-    name="envelope_rms",
-    label="Envelope error",
-    unit="relative RMS",
-    better=Direction.lower,
-    resimulation=Resimulation.level,
-    group=Group.simulation,
-    decimals=4,
-    place=120,
-)
-TIME = Metric(
-    name=FRAME_TIME,
-    label="Time",
-    unit="ms/frame",
-    better=Direction.lower,
-    group=Group.cost,
-    decimals=1,
-    shown=Shown.screen | Shown.report,
-    place=130,
-)
-PARAMETERS = Metric(
-    name="parameters",
-    label="Parameters",
-    group=Group.cost,
-    decimals=0,
-    shown=Shown.table | Shown.report,
-    place=140,
-)
