@@ -15,8 +15,6 @@ import pandas as pd
 from scipy.stats import kendalltau
 from scipy.stats import t as student
 
-from numerics import markdown
-
 #: Table II of Zhang, Portenier and Goksel: PSNR, dB; MAE, grey levels; patch chi-square; FID.
 PAPER = pd.DataFrame(
     {
@@ -208,6 +206,8 @@ def beside_the_paper(runs: pd.DataFrame) -> pd.DataFrame:
 
 def main() -> None:
     """Print the tables and the verdict."""
+    from numerics import markdown  # beside this script
+
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/table2")
     everything = read_runs(folder)
     runs = everything[everything["labels"] == "arbitrary"]
