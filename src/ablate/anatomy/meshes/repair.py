@@ -201,19 +201,24 @@ def principal_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _nested(
     vertices: np.ndarray, loops: list[np.ndarray], widths: Sequence[float], planes: Sequence[np.ndarray]
 ) -> list[list[int]]:
-    """Groups of one outer loop and the loops directly inside it, on the same plane."""
-    order = sorted(range(len(loops)), key=lambda i: -widths[i])
-    parents: dict[int, list[int]] = {}
-    for rank, inner in enumerate(order):
-        point = vertices[loops[inner]]
-        parents[inner] = [
+    """Groups of one outer loop and the loops directly inside it, on the same plane.
+
+    A loop lies in the narrowest of those around it. Planes a little apart make "on the same plane" no equivalence: the
+    loops around a loop's own outer one may be too far from it.
+    """
+    depth: dict[int, int] = {}
+    groups: dict[int, list[int]] = {}
+    for inner in sorted(range(len(loops)), key=lambda i: -widths[i]):
+        points = vertices[loops[inner]]
+        around = [
             outer
-            for outer in order[:rank]
-            if abs(planes[outer][2] @ (point[0] - vertices[loops[outer]].mean(axis=0))) <= FLAT_MM
-            and points_in_poly(point[:1] @ planes[outer][:2].T, vertices[loops[outer]] @ planes[outer][:2].T)[0]
+            for outer in depth
+            if abs(planes[outer][2] @ (points[0] - vertices[loops[outer]].mean(axis=0))) <= FLAT_MM
+            and points_in_poly(points @ planes[outer][:2].T, vertices[loops[outer]] @ planes[outer][:2].T).mean() > 0.5
         ]
-    groups = {i: [i] for i in order if len(parents[i]) % 2 == 0}
-    for inner, around in parents.items():
-        if len(around) % 2 == 1:
-            groups[max(around, key=lambda i: len(parents[i]))].append(inner)
+        depth[inner] = 1 + depth[around[-1]] if around else 0
+        if depth[inner] % 2:
+            groups[around[-1]].append(inner)
+        else:
+            groups[inner] = [inner]
     return list(groups.values())
