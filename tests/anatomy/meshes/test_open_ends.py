@@ -1,9 +1,8 @@
 """Open ends as of vessels that the border of a scan cuts: random sets, closed as the cups they belong to."""
 
-import logging
-
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -64,3 +63,74 @@ def test_any_set_of_open_ends_is_closed_as_the_cups_that_they_end(drawn: list[Cu
         # the cup is a polygon within its circle
         clear &= ~((distance > np.cos(np.pi / CORNERS) * radius_there - 1e-3) & (distance < radius_there + 1e-3))
     assert (crossings(mesh.triangles, points)[clear] % 2).tolist() == (held[clear] % 2).tolist()
+
+
+def sheet(width: float, height: float, bump: float = 0.0, hole: bool = False) -> trimesh.Trimesh:
+    """A grid of 12 x 12 squares, uneven by up to `bump` within, maybe without its middle."""
+    x, y = (side.ravel() for side in np.meshgrid(np.linspace(0, width, 13), np.linspace(0, height, 13)))
+    inner = (x > 0) & (x < width) & (y > 0) & (y < height)
+    z = bump * inner * np.random.default_rng(0).random(len(x))
+    corner = (13 * np.arange(12)[:, None] + np.arange(12)).ravel()
+    faces = np.vstack([np.stack([corner, corner + 1, corner + 14], 1), np.stack([corner, corner + 14, corner + 13], 1)])
+    if hole:
+        faces = faces[np.abs(faces.mean(1) - 84) > 20]
+    return trimesh.Trimesh(np.stack([x, y, z], 1), faces, process=False)
+
+
+def apart(mesh: trimesh.Trimesh, gap: float) -> trimesh.Trimesh:
+    """Each facet by itself, a little off its neighbours."""
+    pieces = [
+        mesh.submesh([facet])[0].apply_translation(gap * number * SKEW) for number, facet in enumerate(mesh.facets)
+    ]
+    return trimesh.util.concatenate(pieces)
+
+
+BOX = trimesh.creation.box((60, 60, 60))
+SHEETS = {
+    "plane": sheet(100, 100),
+    "ribbon": sheet(100, 8),
+    "uneven": sheet(100, 100, bump=1.9),
+    "small": sheet(0.5, 0.3),
+    "with a hole": sheet(100, 100, hole=True),
+    "two planes": trimesh.util.concatenate([sheet(90, 80), sheet(90, 80).apply_translation((0, 0, 50))]),
+    "a box whose sides do not meet": apart(BOX, 1e-3),
+}
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_a_flat_open_sheet_encloses_nothing(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    turned = SHEETS[name].copy().apply_transform(trimesh.transformations.rotation_matrix(0.7, (1, 2, 3)))
+    for mesh in (SHEETS[name], turned):
+        with pytest.raises(ValueError, match=rf"^x\.obj: its {len(mesh.faces)} triangles enclose nothing"):
+            repair(mesh.vertices, mesh.faces, "x.obj")
+        beside = trimesh.util.concatenate([mesh, BOX.copy().apply_translation((200, 0, 0))])
+        assert abs(repair(beside.vertices, beside.faces, "x.obj").volume) == pytest.approx(60**3)
+        assert "x.obj: left out" in caplog.text
+
+
+def dome(radius: float, height: float, count: int = 12) -> trimesh.Trimesh:
+    """A cap of a ball of some radius, open below."""
+    angle = np.linspace(0, np.arccos(1 - height / radius), count)
+    return trimesh.creation.revolve(np.stack([radius * np.sin(angle), radius * np.cos(angle)], 1), sections=48)
+
+
+def open_box(*size: float) -> trimesh.Trimesh:
+    box = trimesh.creation.box(size)
+    return box.submesh([box.face_normals[:, 2] < 0.5])[0]
+
+
+OPEN: dict[str, tuple[trimesh.Trimesh, float]] = {
+    "a half ball": (dome(30, 30), 30**3 * 2 / 3 * np.pi),
+    "a bowl": (dome(30, 4), np.pi * 4**2 * (30 - 4 / 3)),
+    "a narrow vessel": (open_box(1, 1, 60), 60),
+    "a flat vessel": (open_box(60, 0.6, 60), 60 * 0.6 * 60),
+}
+
+
+@pytest.mark.parametrize("name", OPEN)
+def test_what_a_cap_closes_is_no_sheet(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    mesh, volume = OPEN[name]
+    assert not mesh.is_watertight
+    closed = repair(mesh.vertices, mesh.faces, name)
+    assert abs(closed.volume) == pytest.approx(volume, rel=0.05)
+    assert "left out" not in caplog.text

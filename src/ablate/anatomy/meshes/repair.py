@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from mapbox_earcut import triangulate_float64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from skimage.measure import points_in_poly
 
 from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES, read_vtk
@@ -22,6 +24,7 @@ LARGEST_MM = 1.8e18  # coordinates that Embree takes: within +-1.844e18
 NEEDLE = 1e-12  # a triangle of less than this, twice its area over its longest side squared, has no area
 FLAT_MM = 2.5  # an open end may be uneven by this (two CT slices) ...
 FLAT_FRACTION = 0.02  # ... or by this part of its width
+_SHEET_AREA = 1.5  # a flat open piece of less than this, in areas of the caps on it, is a sheet and no flat vessel
 
 
 def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
@@ -59,11 +62,15 @@ def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimes
     unique = _fewest_odd_edges(kept[np.sort(first)], _of_odd_count(kept))
     if len(unique) == 0:
         raise ValueError(f"{name}: all its {len(faces)} triangles are degenerate")
-    caps, widths_mm = cap_open_ends(merged, unique, name)
-    # a lone triangle and its cap are copies: both go
-    closed = _of_odd_count(np.concatenate([unique, caps])) if len(caps) else unique
+    solid, sheets_mm = _without_sheets(merged, unique, name)
+    caps, widths_mm = cap_open_ends(merged, solid, name)
+    # a triangle beside a body and its cap are copies: both go
+    closed = _of_odd_count(np.concatenate([solid, caps])) if len(caps) else solid
     if len(closed) == 0:
-        raise ValueError(f"{name}: its {len(faces)} triangles enclose nothing")
+        raise ValueError(f"{name}: its {len(faces)} triangles enclose nothing: they are flat open sheets")
+    if sheets_mm:
+        what = f"{len(sheets_mm)} flat open sheets of up to {max(sheets_mm):.1f} mm, which enclose nothing"
+        logger.warning("%s: left out %s", Path(name).name, what)
     mesh = trimesh.Trimesh(merged, closed, process=False)
     mesh.metadata["name"] = Path(name).name
     if len(closed) != len(faces):
@@ -133,6 +140,35 @@ def odd_edges(faces: np.ndarray) -> np.ndarray:
     keys, counts = np.unique(edges[:, 0] * span + edges[:, 1], return_counts=True)
     keys = keys[counts % 2 == 1]
     return np.stack([keys // span, keys % span], axis=1)
+
+
+def _without_sheets(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, list[float]]:
+    """The faces (m, 3) without the open pieces that are as flat as a cap on them, and the widths of these pieces, mm.
+
+    A piece is what hangs together by vertices. Closed by a cap, such a sheet would lie on it.
+    """
+    rims = odd_edges(faces)
+    if len(rims) == 0:
+        return faces, []
+    ends = faces[:, :2].ravel(), faces[:, 1:].ravel()
+    links = coo_array((np.ones(2 * len(faces), bool), ends), shape=(len(vertices),) * 2)
+    piece = connected_components(links, directed=False)[1]
+    order = np.argsort(piece[faces[:, 0]], kind="stable")
+    ordered = piece[faces[order, 0]]
+    stays, widths = np.ones(len(faces), bool), []
+    for number in np.unique(piece[rims[:, 0]]):
+        own = order[slice(*np.searchsorted(ordered, (number, number + 1)))]
+        long, wide, thick = np.ptp(principal_axes(vertices[np.unique(faces[own])])[0], axis=0)
+        if thick <= FLAT_FRACTION * wide:
+            caps = cap_open_ends(vertices, faces[own], name)[0]
+            if _area(vertices, faces[own]) < _SHEET_AREA * _area(vertices, caps):
+                stays[own] = False
+                widths.append(float(long))
+    return faces[stays], widths
+
+
+def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    return float(trimesh.triangles.area(vertices[faces]).sum())
 
 
 def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, tuple[float, ...]]:
