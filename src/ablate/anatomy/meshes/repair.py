@@ -15,8 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import points_in_poly
 
-from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES, read_vtk
-from ablate.setting import naming
+from ablate.anatomy.meshes.mesh_file import read_mesh
 
 logger = logging.getLogger(__name__)
 
@@ -28,20 +27,12 @@ _SHEET_AREA = 1.5  # a flat open piece of less than this, in areas of the caps o
 
 
 def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
-    """Read a mesh file of any format that trimesh knows, or VTK's own, join its pieces, and make it usable, in mm.
-
-    Materials and textures are not read.
+    """Read a mesh file of a format of `read_mesh`, join its pieces, and make it usable, in mm.
 
     `metadata["name"]` is the name of the file. Raises ValueError, which names the file, where it cannot be read and
     where `repair` does.
     """
-    path = Path(path)
-    with naming(f"{path}: not readable as a mesh: ", Exception):  # every reader raises its own
-        if path.suffix.lower() in VTK_SUFFIXES:
-            vertices, faces = read_vtk(path)
-        else:
-            mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-            vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    vertices, faces = read_mesh(Path(path))
     return repair(vertices * mm_per_unit, faces, str(path))
 
 
