@@ -75,8 +75,10 @@ def _chunks(content: bytes) -> tuple[bytes, bytes | None]:
     if len(content) < 20:
         raise ValueError("it ends in its header")
     version, length = struct.unpack_from("<II", content, 4)
-    if version != 2 or length != len(content):
-        raise ValueError(f"its header declares version {version} and {length} bytes; it has {len(content)} bytes")
+    if version != 2:
+        raise ValueError(f"it has version {version} of glTF; allowed is 2")
+    if length != len(content):
+        raise ValueError(f"its header declares {length} bytes, {len(content)} are there")
     place, chunks = 12, dict[int, bytes]()
     while place + 8 <= length:
         size, kind = struct.unpack_from("<II", content, place)

@@ -77,14 +77,12 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def _parts(content: bytes) -> tuple[str, list[_Element], bytes]:
     """The format, the elements that have rows, and what follows the header."""
-    head = re.match(rb"ply[ \t]*(\r\n|\r|\n)(.*?)(?<=[\r\n])end_header[ \t]*\1", content, re.DOTALL)
+    head = re.match(rb"ply[ \t]*(\r\n|\r|\n)(.*?)(?<=[\r\n])end_header[ \t]*(?:\1|\r\n)", content, re.DOTALL)
     if head is None:
         raise ValueError("it does not begin with a header of PLY, from `ply` to `end_header`")
     form, elements = "", dict[str, _Element]()
     for line in head[2].decode("latin-1").splitlines():
         match line.split():
-            case [] | ["comment" | "obj_info", *_]:
-                pass
             case ["format", name, "1.0"] if name in _ORDERS:
                 form = name
             case ["element", name, rows] if name not in elements and re.fullmatch(r"\d{1,18}", rows):
@@ -93,8 +91,8 @@ def _parts(content: bytes) -> tuple[str, list[_Element], bytes]:
                 list(elements.values())[-1].properties.append(_Property(name, _TYPES[kind]))
             case ["property", "list", count, kind, name] if elements and kind in _TYPES and count in _TYPES:
                 list(elements.values())[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
-            case _:
-                raise ValueError(f"header: {shown(line)} is not read")
+            case ["format" | "element" | "property", *_]:
+                raise ValueError(f"header: {shown(line)} is no format, element or property of PLY 1.0")
     if not form:
         raise ValueError(f"its header names no format; allowed are {', '.join(_ORDERS)}")
     for name in elements:
