@@ -1,5 +1,6 @@
 """Wavefront OBJ."""
 
+import logging
 import re
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import numpy as np
 from ablate.anatomy.meshes.polygons import triangles_of_polygons
 from ablate.anatomy.meshes.text import mesh_text, rows_of_three
 from ablate.setting import shown
+
+logger = logging.getLogger(__name__)
 
 #: What encloses nothing: looks, names, points, lines. Curves, surfaces and other files are not among them.
 _NOT_SOLID = "vt vn vp vw g o s mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj p l"
@@ -40,6 +43,8 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
             lengths.append(len(words) - 1)
         elif words[0] not in PASSED_OVER:
             raise ValueError(f"{shown(line)}: {shown(words[0])} is not read; export polygons, the lines v and f")
+    if corners and max(corners) < len(coordinates) // 3 - 1:
+        logger.warning("%s: no face names its last vertices; does the file end early?", path.name)
     for kind, arrived in {"Vertices": len(coordinates) // 3, "Faces": len(lengths)}.items():
         declared = sum(map(int, re.findall(rf"^# ?{kind}: (\d+)$", text, re.MULTILINE)))
         if arrived < declared:

@@ -41,4 +41,4 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray]:
             raise ValueError(f"{shown(' '.join(words))}: a face declares {length} corners")
         corners += words[1 : length + 1]
     coordinates = rows_of_three([word for words in lines[:vertices] for word in words[:3]])
-    return coordinates, triangles_of_polygons(np.array(corners, np.int64), lengths)
+    return coordinates, triangles_of_polygons(np.fromiter(map(int, corners), np.int64, len(corners)), lengths)

@@ -33,16 +33,25 @@ def read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ascii_corners(text: str) -> np.ndarray:
-    lines = [words for line in text.split("\n") if (words := line.split())]
-    codes = "".join(_CODES.get("".join(words[: 2 if words[0].lower() == "end" else 1]).lower(), "?") for words in lines)
+    lines = [stripped for line in text.split("\n") if (stripped := line.strip())]
+    codes = "".join(map(_code, lines))
     whole = re.compile("(?:s(?:fovvvld)*e)*").match(codes)
     torn = re.compile("s?((?:fovvvld)*)(?:f(?:o(?:v(?:v(?:vl?)?)?)?)?)?").match(codes, whole.end() if whole else 0)
     if whole and torn and whole.end() < len(codes):
         place = f"after {len(torn[1]) // 7} whole triangles of solid {codes.count('e', 0, whole.end()) + 1}"
-        there = f"there is {shown(' '.join(lines[torn.end()]))}" if torn.end() < len(lines) else "the file ends"
+        there = f"there is {shown(lines[torn.end()])}" if torn.end() < len(lines) else "the file ends"
         raise ValueError(f"{place}, and before its endsolid, {there}")
-    corners = [words[1:] for words, code in zip(lines, codes, strict=True) if code == "v"]
-    for words in corners:
-        if len(words) != 3:
-            raise ValueError(f"vertex {shown(' '.join(words))}: a vertex has three coordinates")
-    return rows_of_three([word for words in corners for word in words])
+    words: list[str] = []
+    for line, code in zip(lines, codes, strict=True):
+        if code == "v":
+            _, *numbers = line.split()
+            words += numbers
+            if len(numbers) != 3:
+                raise ValueError(f"{shown(line)}: a vertex has three coordinates")
+    return rows_of_three(words)
+
+
+def _code(line: str) -> str:
+    """A letter for what a line is; some write `end solid` for `endsolid`."""
+    words = line.lower().split(None, 2)
+    return _CODES.get(words[0], "?") if words[0] != "end" else _CODES.get("".join(words[:2]), "?")

@@ -18,4 +18,4 @@ def mesh_text(path: Path) -> str:
 
 def rows_of_three(words: list[str]) -> np.ndarray:
     """Numbers (n, 3) float64 of 3n words; a ValueError names a word that is no number."""
-    return np.array(words, dtype=np.float64).reshape(-1, 3)
+    return np.fromiter(map(float, words), np.float64, len(words)).reshape(-1, 3)
