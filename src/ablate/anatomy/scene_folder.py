@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ablate.anatomy import scene_values as values
+from ablate.anatomy.meshes.gltf_document import buffer_files, gltf_document
+from ablate.anatomy.meshes.mesh_file import MESH_SUFFIXES
 from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
 from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.site_grid import SiteGrid
@@ -17,7 +18,6 @@ from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
 from ablate.setting import naming, shown
 
-MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "labels", "structures", "tissues", "sites")
 SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
@@ -137,18 +137,15 @@ def load_sites(folder: str | Path) -> SiteGrid:
 
 
 def mesh_files(path: Path) -> tuple[Path, ...]:
-    """The files that a mesh is read from: its own and, for .gltf, those of the buffers that it names.
+    """The files that a mesh is read from: its own and, for glTF, those of the buffers that it names.
 
     Materials and textures are not read. A FileNotFoundError or ValueError when a glTF is not readable, or a buffer is
     no file.
     """
-    if path.suffix.lower() != ".gltf":
+    if path.suffix.lower() not in (".gltf", ".glb"):
         return (path,)
-    try:
-        uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes()).get("buffers", [])]
-        buffers = [path.parent / uri for uri in uris if not uri.startswith("data:")]
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
-        raise ValueError(f"{path}: not readable as glTF ({type(error).__name__})") from error
+    with naming(f"{path}: not readable as glTF: ", (ValueError, AttributeError, TypeError, RecursionError)):
+        buffers = [file for file in buffer_files(gltf_document(path)) if file is not None]
     for buffer in buffers:
         if not buffer.is_file():
             raise FileNotFoundError(f"{path}: buffer {shown(buffer.name)} is no file in the folder of the mesh")
