@@ -16,8 +16,8 @@ from ablate.anatomy.meshes.repair import load_mesh
 from ablate.anatomy.scene import bounds_mm
 from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM
 from ablate.anatomy.tissue import TissueKind, load_tissues
-from ablate.anatomy.volumes.label_map import SUFFIXES
 from ablate.anatomy.volumes.labels_proposal import proposed_labels
+from ablate.anatomy.volumes.volume_file import SUFFIXES
 
 _UNKNOWN = "soft_tissue"
 _MISLEADING = {"skin", "lung"}  # a closed skin is the whole body, and the lung of the table is a fetus's

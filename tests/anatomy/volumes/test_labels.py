@@ -174,6 +174,8 @@ def test_a_mesh_that_3d_slicer_wrote_in_lps_does_not_join_labels_in_ras(tmp_path
         ({"file": "labels.img"}, "labels.file='labels.img': allowed are names of files that end in .nii, .nii.gz"),
         ({"body": {"file": "labels.nii.gz"}}, "labels.body.above=None: allowed are finite numbers"),
         ({"body": {"file": "small.nii.gz", "above": 0}}, "labels.body.file: .*small.nii.gz has not the shape"),
+        ({"body": {"file": "colour.nii.gz", "above": 0}}, "labels.body.file: .*colour.nii.gz holds colours"),
+        ({"body": {"file": "complex.nii.gz", "above": 0}}, "labels.body.file: .*complex.nii.gz holds complex numbers"),
         ({"body": {"file": "labels.nii.gz", "above": 9}}, "labels.body.above: no voxel of .* is above 9 and has no"),
     ],
 )
@@ -181,9 +183,24 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path, labels: dict[str,
     values, _ = three_balls()
     folder = write(tmp_path, values, np.eye(4), **labels)
     nibabel.save(nibabel.Nifti1Image(values[1:], np.eye(4)), folder / "small.nii.gz")
+    for name, kind in {"colour": [("R", "u1"), ("G", "u1"), ("B", "u1")], "complex": np.complex64}.items():
+        image = nibabel.Nifti1Image(np.zeros(values.shape, kind), np.eye(4))
+        nibabel.save(image, folder / f"{name}.nii.gz")
     with pytest.raises(ValueError, match=rf"scene\.yaml: {message}") as caught:
         load_scene(folder)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("damaged", ["labels.nii.gz", "ct.nii.gz"])
+def test_labels_and_the_image_of_the_body_must_have_their_checksums(tmp_path: Path, damaged: str) -> None:
+    values, _ = three_balls()
+    folder = write(tmp_path, values, np.eye(4), body={"file": "ct.nii.gz", "above": 0})
+    nibabel.save(nibabel.Nifti1Image(np.ones(values.shape, np.int16), np.eye(4)), folder / "ct.nii.gz")
+    content = bytearray((folder / damaged).read_bytes())
+    content[-8] ^= 1
+    (folder / damaged).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{damaged}: not readable to its end: CRC check failed"):
+        load_scene(folder)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +210,10 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path, labels: dict[str,
         (np.full((9, 9, 9), -4, np.int16), "holds the value -4; allowed are 0 to 65535"),
         (np.full((9, 9, 9), 0.37, np.float32), "holds the value 0.37; labels are whole numbers"),
         (np.full((9, 9, 9), np.nan, np.float32), "holds the value nan; allowed are 0 to 65535"),
-        (np.zeros((9, 9, 9), [("R", "u1"), ("G", "u1"), ("B", "u1")]), "holds [('R', 'u1'), ('G', 'u1'), ('B', 'u1')]"),
+        (np.full((9, 9, 9), 0.9999999, np.float32), "holds the value 0.9999999; labels are whole numbers"),
+        (np.full((9, 9, 9), 2 + 1e-12, np.float64), "holds the value 2.000000000001; labels are whole numbers"),
+        (np.full((9, 9, 9), 65535.004, np.float32), "holds the value 65535.004; allowed are 0 to 65535"),
+        (np.full((9, 9, 9), 1e300, np.float64), "holds the value 1e+300; allowed are 0 to 65535"),
     ],
 )
 def test_values_that_are_no_labels_are_named(tmp_path: Path, values: np.ndarray, message: str) -> None:

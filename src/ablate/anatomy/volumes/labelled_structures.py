@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -21,7 +22,8 @@ from skimage.measure import marching_cubes
 from ablate.anatomy.meshes.repair import repair
 from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, cached_scene
 from ablate.anatomy.tissue import load_tissues
-from ablate.anatomy.volumes.label_map import LABELS_VERSION, LARGEST_LABEL, Body, LabelMap, VolumeFile, slabs
+from ablate.anatomy.volumes.label_map import LABELS_VERSION, LARGEST_LABEL, Body, LabelMap
+from ablate.anatomy.volumes.volume_file import VolumeFile, slabs
 from ablate.storage import digest_of_files
 
 BLOCK = 64  # voxels along a side
@@ -210,17 +212,20 @@ def read_order(labels: LabelMap, where: str) -> tuple[np.ndarray, tuple[str, ...
 
 def _whole_numbers(values: np.ndarray, volume: VolumeFile, where: str) -> np.ndarray:
     """Values as labels, uint16."""
-    if values.dtype.kind not in "biuf":
-        raise ValueError(f"{where}.file: {volume.path} holds {values.dtype}; labels are whole numbers")
+    holds = f"{where}.file: {volume.path} holds the value"
     for extreme in (values.min(), values.max()):
         if not 0 <= extreme <= LARGEST_LABEL:  # nan neither
-            raise ValueError(
-                f"{where}.file: {volume.path} holds the value {extreme:g}; allowed are 0 to {LARGEST_LABEL}"
-            )
+            raise ValueError(f"{holds} {_as_it_is(extreme)}; allowed are 0 to {LARGEST_LABEL}")
     numbers = values.astype(np.uint16)
     if (fractions := values[numbers != values]).size:
-        raise ValueError(f"{where}.file: {volume.path} holds the value {fractions[0]:g}; labels are whole numbers")
+        raise ValueError(f"{holds} {_as_it_is(fractions[0])}; labels are whole numbers")
     return numbers
+
+
+def _as_it_is(value: Any) -> str:
+    """The fewest digits that tell a number from every other of its kind: 0.9999999 is not 1."""
+    single = np.float32(value) if abs(value) < np.finfo(np.float32).max else value
+    return str(single) if value % 1 and single == value else str(value)
 
 
 def _check_counts(counts: np.ndarray, labels: LabelMap, where: str) -> None:

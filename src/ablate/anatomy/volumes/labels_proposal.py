@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from skimage.filters import threshold_otsu
 
-from ablate.anatomy.volumes.label_map import TABLE, VolumeFile, check_volume, slabs
+from ablate.anatomy.volumes.label_map import TABLE
+from ablate.anatomy.volumes.volume_file import VolumeFile, check_volume, slabs
 
 _MOST = 128  # different whole numbers in a volume of labels; TotalSegmentator has 118
 _OF_TABLE = 20  # so many labels within its classes, and without names, are taken for TotalSegmentator's
