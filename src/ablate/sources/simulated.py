@@ -142,6 +142,8 @@ def simulate_data(
     lacking = asked - len(layout.poses)
     if lacking and not settings.dataset.poses:
         left_out.append(f"{lacking} of {asked} frames asked for: there are no more poses")
+    if scene.guessed:
+        left_out.append(f"nothing, but tissues are guessed: {scene.guessed}")
     tqdm.write(f"Simulating pairs into {folder}")
     tqdm.write(f"{layout.placement}; {len(layout.sites)} of {asked} frames asked for")
     for line in left_out:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ablate.anatomy import load_scene, load_tissues, validate_scene_folder
 from ablate.anatomy.volumes import label_map
 from ablate.anatomy.volumes import labelled_structures as module
-from ablate.anatomy.volumes.labelled_structures import read_order
+from ablate.anatomy.volumes.label_order import read_order
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_coordinates_mm
 from support.scene_hash import content_hash
@@ -90,7 +90,7 @@ def test_labels_come_before_meshes_and_a_table_names_its_classes(tmp_path: Path)
 
 
 def test_the_table_holds_known_tissues_and_each_class_once() -> None:
-    rows = label_map._table()
+    rows = label_map.numbered_classes()
     assert [number for number, _, _ in rows] == list(range(1, 118))
     assert len({name for _, name, _ in rows}) == 117
     assert {tissue for _, _, tissue in rows} <= load_tissues().keys()
@@ -113,7 +113,7 @@ def test_the_body_is_what_is_above_a_threshold_and_all_within_it(tmp_path: Path)
     scene = load_scene(folder)
     assert [s.mesh.metadata["name"] for s in scene.structures] == ["body", "label 1", "label 2", "label 3"]
     assert scene.structures[0].tissue.name == "fat"
-    order, _ = module.read_order(validate_scene_folder(folder).labels, "labels")  # type: ignore[arg-type]
+    order, _ = read_order(validate_scene_folder(folder).labels, "labels")  # type: ignore[arg-type]
     expected = np.zeros(values.shape, np.uint8)
     expected[3:45, 3:47, 3:39] = 1
     assert np.array_equal(order, np.where(values > 0, values + 1, expected))

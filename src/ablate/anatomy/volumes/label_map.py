@@ -1,20 +1,23 @@
 """The `labels` of a scene.yaml, checked: files of volumes, the tissue of each label, and the body around them."""
 
 import csv
+import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ablate.anatomy.scene_values import file_named, mapping, number, one_of, refusal
 from ablate.anatomy.tissue import Tissue
+from ablate.anatomy.volumes.label_names import names_in_header
 from ablate.anatomy.volumes.volume_file import SUFFIXES, VolumeFile, check_volume
+from ablate.setting import shown
 
-LABELS_VERSION = 2  # of the surfaces that are made from labels: raised when they change
-TABLE = "totalsegmentator"  # classes of its task `total`, version 2
+LABELS_VERSION = 3  # of the surfaces that are made from labels: raised when they change
+TABLE = "totalsegmentator"  # its classes, of which the numbered ones are those of version 2, task `total`
 LARGEST_LABEL = 65_535
 MOST_STRUCTURES = 254  # they are counted in 8 bits, with the body
 
@@ -26,6 +29,7 @@ class Label:
     number: int
     name: str
     tissue: Tissue | None
+    mask: int | None = None  # the volume that holds it alone, by its place in `LabelMap.volumes`
 
 
 @dataclass(frozen=True)
@@ -39,17 +43,28 @@ class Body:
 
 @dataclass(frozen=True)
 class LabelMap:
-    """A volume of labels, its structures in their order: of two that touch, the later one's wall is the visible one."""
+    """Volumes of labels and their structures, in order: of two that touch, the later one's wall is the visible one."""
 
-    volume: VolumeFile
+    volumes: tuple[VolumeFile, ...]  # one that holds all labels or, of one grid, one a label: its voxels that are not 0
     labels: tuple[Label, ...]
     complete: bool  # whether each label must be in the volume
     body: Body | None
+    guessed: str = ""  # what was guessed by numbers alone, for whoever looks at a first frame
+
+    @property
+    def volume(self) -> VolumeFile:
+        """The one of all labels, or the first of the masks: the grid."""
+        return self.volumes[0]
+
+    @property
+    def has_masks(self) -> bool:
+        """Whether each label has a file of its own."""
+        return any(label.mask is not None for label in self.labels)
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that the structures are made from."""
-        return (self.volume.path, *((self.body.image.path,) if self.body else ()))
+        return (*(volume.path for volume in self.volumes), *((self.body.image.path,) if self.body else ()))
 
     @property
     def structures(self) -> tuple[tuple[str, Tissue], ...]:
@@ -59,7 +74,7 @@ class LabelMap:
 
 
 def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], where: str) -> LabelMap:
-    """Check `{file, tissues, body}`, and the headers of the files that it names.
+    """Check `{file, tissues, body}` or `{masks, body}`, and the headers of the files that are named.
 
     Parameters
     ----------
@@ -77,24 +92,68 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
     FileNotFoundError or ValueError
         When a file is missing or cannot be used, or a key or value is not as it should be.
     """
-    content = mapping(content, where, ("file", "tissues", "body"))
-    volume = check_volume(file_named(content.get("file"), SUFFIXES, folder, f"{where}.file"), f"{where}.file")
-    named = content.get("tissues")
-    if named == TABLE:
-        labels = tuple(Label(n, name, tissues[one_of(t, tissues, where)]) for n, name, t in _table())
+    content = mapping(content, where, ("file", "tissues", "masks", "body"))
+    named, guessed = content.get("tissues"), ""
+    if "masks" in content:
+        if twice := [key for key in ("file", "tissues") if key in content]:
+            raise ValueError(f"{where}.{twice[0]}: allowed is either {twice[0]} or masks, which have a file a label")
+        volumes, labels = _masks(content["masks"], folder, tissues, f"{where}.masks")
     else:
-        labels = _labels(named, tissues, f"{where}.tissues")
+        volumes = (check_volume(file_named(content.get("file"), SUFFIXES, folder, f"{where}.file"), f"{where}.file"),)
+        if named == TABLE:
+            labels, guessed = _classes(volumes[0].path, tissues, f"{where}.tissues")
+        else:
+            labels = _labels(named, tissues, f"{where}.tissues")
     body = None
     if content.get("body"):
         own, key = mapping(content["body"], f"{where}.body", ("file", "above", "tissue")), f"{where}.body"
         image = check_volume(file_named(own.get("file"), SUFFIXES, folder, f"{key}.file"), f"{key}.file")
-        if image.shape != volume.shape or not np.allclose(image.affine, volume.affine, atol=1e-3):
-            raise ValueError(f"{key}.file: {image.path} has not the shape and the affine of {volume.path}")
+        if not image.is_on_grid_of(volumes[0]):
+            raise ValueError(f"{key}.file: {image.path} has not the shape and the affine of {volumes[0].path}")
         tissue = tissues[one_of(own.get("tissue", "soft_tissue"), tissues, f"{key}.tissue")]
         body = Body(image, number(own.get("above"), f"{key}.above"), tissue)
     if body is None and not any(label.tissue for label in labels):
         raise ValueError(f"{where}.tissues: every label is null; allowed is at least one with a tissue, or a body")
-    return LabelMap(volume, labels, named != TABLE, body)
+    return LabelMap(volumes, labels, named != TABLE, body, guessed)
+
+
+def _masks(
+    named: Any, folder: Path, tissues: Mapping[str, Tissue], where: str
+) -> tuple[tuple[VolumeFile, ...], tuple[Label, ...]]:
+    """The volumes of `{file: tissue}`, of one grid, and their labels, which are called as the files."""
+    if not isinstance(named, Mapping) or not 0 < len(named) <= MOST_STRUCTURES:
+        raise refusal(where, named, f"mappings of 1 to {MOST_STRUCTURES} files to tissues")
+    volumes, labels = [], dict[str, Label]()
+    for position, (file, name) in enumerate(named.items()):
+        key = f"{where}.{file}"
+        volumes.append(check_volume(file_named(file, SUFFIXES, folder, key), key))
+        if not volumes[-1].is_on_grid_of(volumes[0]):
+            raise ValueError(f"{key}: {volumes[-1].path} has not the shape and the affine of {volumes[0].path}")
+        stem = stem_of(volumes[-1].path)
+        if stem in labels:
+            raise ValueError(f"{key}: another mask is called {stem}, too; allowed are names of their own")
+        tissue = None if name is None else tissues[one_of(name, tissues, key)]
+        labels[stem] = Label(position + 1, stem, tissue, position)
+    return tuple(volumes), tuple(labels.values())
+
+
+def _classes(path: Path, tissues: Mapping[str, Tissue], where: str) -> tuple[tuple[Label, ...], str]:
+    """The classes of `TABLE`, by the names in the header, else by number; and what was guessed."""
+    names = names_in_header(path)
+    if not names:
+        guessed = f"{path.name} names no label, so its numbers are taken for TotalSegmentator's of version 2"
+        return tuple(Label(n, name, tissues[one_of(t, tissues, where)]) for n, name, t in numbered_classes()), guessed
+    classes: dict[int, tuple[str, str]] = {}
+    for label, name in names.items():
+        if (found := class_called(name)) is None:
+            raise ValueError(
+                f"{where}: {path} calls its label {label} {shown(name)}, which is no class of TotalSegmentator that is "
+                "known; allowed are mappings of labels to tissues, as task=describe proposes them"
+            )
+        classes[label] = found
+    of_name = Counter(name for name, _ in classes.values())  # parts of one organ have its name and their number
+    called = {label: name if of_name[name] == 1 else f"{name} {label}" for label, (name, _) in classes.items()}
+    return tuple(Label(n, called[n], tissues[one_of(classes[n][1], tissues, where)]) for n in sorted(classes)), ""
 
 
 def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Label, ...]:
@@ -111,7 +170,27 @@ def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Labe
     return tuple(labels)
 
 
-def _table() -> list[tuple[int, str, str]]:
-    """Label, name and tissue of each class of `TABLE`."""
+def numbered_classes() -> list[tuple[int, str, str]]:
+    """Label, name and tissue of each class of version 2, task `total`."""
+    return [(int(row["label"]), row["name"], row["tissue"]) for row in _table().values() if row["label"]]
+
+
+def class_called(name: str) -> tuple[str, str] | None:
+    """Name and tissue of the class of any version or task that has this name, in whatever case and with blanks."""
+    row = _table().get(_in_lower_case(name))
+    return (row["name"], row["tissue"]) if row else None
+
+
+def stem_of(path: Path) -> str:
+    """The name of a volume's file without its ending."""
+    return re.sub(r"(\.seg)?(\.nii|\.nii\.gz|\.nrrd)$", "", path.name, flags=re.IGNORECASE)
+
+
+def _in_lower_case(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+@cache
+def _table() -> dict[str, dict[str, str]]:
     with files("ablate.anatomy.volumes").joinpath(f"{TABLE}.csv").open(encoding="utf-8") as stream:
-        return [(int(row["label"]), row["name"], row["tissue"]) for row in csv.DictReader(stream)]
+        return {_in_lower_case(row["name"]): row for row in csv.DictReader(stream)}

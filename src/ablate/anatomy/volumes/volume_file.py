@@ -39,6 +39,10 @@ class VolumeFile:
         a, b, c = np.linalg.norm(self.affine[:3, :3], axis=0).tolist()
         return a, b, c
 
+    def is_on_grid_of(self, other: "VolumeFile") -> bool:
+        """Whether both have the same voxels, to 1 um."""
+        return self.shape == other.shape and np.allclose(self.affine, other.affine, atol=1e-3)
+
 
 def check_volume(path: Path, where: str) -> VolumeFile:
     """Read and check the header of a file; `where` stands in messages.
