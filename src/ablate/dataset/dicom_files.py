@@ -45,7 +45,7 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = Fal
         image = _ultrasound(pairs.folder.name, frame, shown, pairs.mask(), pixel_mm)
         if imported:
             image.PatientName, image.DerivationDescription = (
-                "Unknown",
+                "Unknown^Patient",
                 "Imported by ablate from an image made elsewhere",
             )
         image.SOPInstanceUID = _uid(pairs.folder.name, hashlib.sha256(shown.tobytes()).hexdigest(), str(frame))
