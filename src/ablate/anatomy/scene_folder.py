@@ -74,10 +74,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     background = tissues[values.one_of(content.get("background", "coupling_gel"), tissues, f"{path}: background")]
     labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
     in_space = {"RAS": "labels are"} if labels else {}
-    for mesh, _ in meshes:
-        with mesh.open("rb") as stream:
-            head = stream.read(512)
-        in_space |= {space: f"{mesh.name} is" for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head}
+    in_space |= {space: f"{mesh.name} is" for mesh, _ in meshes if (space := mesh_space(mesh))}
     if len(in_space) > 1:  # as 3D Slicer marks meshes
         raise ValueError(f"{path}: {in_space['LPS']} in LPS, but {in_space['RAS']} in RAS; export all as RAS")
     of_labels = labels.structures if labels else ()
@@ -117,7 +114,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
         from ablate.anatomy.volumes.labelled_structures import labelled_structures
 
         structures = (*labelled_structures(checked.labels, f"{path}: labels", cache_dir), *structures)
-        scene = Scene(structures, checked.background, checked.name)
+        scene = Scene(structures, checked.background, checked.name, guessed=checked.labels.guessed)
     warn_of_overlaps(scene)
     return scene
 
@@ -134,6 +131,13 @@ def load_sites(folder: str | Path) -> SiteGrid:
     if sites is None:
         raise ValueError(f"{Path(folder) / 'scene.yaml'}: sites: missing; allowed keys are {', '.join(SITE_KEYS)}")
     return sites
+
+
+def mesh_space(path: Path) -> str:
+    """The space that 3D Slicer wrote a mesh in, LPS or RAS, where it says so at the beginning of the file."""
+    with path.open("rb") as stream:
+        head = stream.read(512)
+    return next((space for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head), "")
 
 
 def mesh_files(path: Path) -> tuple[Path, ...]:
