@@ -175,7 +175,7 @@ def test_a_store_that_is_gone_or_slow_is_named_and_not_waited_for_and_has_all_la
 ) -> None:
     jobs = finished(runs)
     where = publish([job_in(runs, variant, uri="http://127.0.0.1:9") for variant in VARIANTS])
-    assert where.startswith("http://127.0.0.1:9\nNote: not all is in MLflow yet (")
+    assert where.startswith("http://127.0.0.1:9, and open study\nNote: not all is in MLflow yet (")
     with monkeypatch.context() as patch:
         patch.setattr(study_view, "_WAIT_S", 0.2)
         patch.setattr(study_view, "_MARK_S", 0.2)

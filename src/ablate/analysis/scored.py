@@ -10,6 +10,8 @@ from ablate.metrics.metric import SCALAR_COLUMNS
 
 REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants
+#: Rows of tables that are no networks, and do not compete with them.
+BASELINES = (RESIMULATION,)
 CHANGED = 3
 LEVEL = 0.95  # coverage of the intervals of all tables
 

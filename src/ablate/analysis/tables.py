@@ -1,4 +1,4 @@
-"""The comparison table in print: for a console, in Markdown, and as the paper's Table II."""
+"""The comparison table in print: in Markdown, and as the paper's Table II."""
 
 import re
 from collections.abc import Hashable, Mapping
@@ -93,24 +93,6 @@ def resimulation_note(metrics: list[str]) -> str:
 def _labels_where(resimulation: Resimulation, metrics: list[str]) -> str:
     """Labels of the metrics that re-simulation tells this of."""
     return ", ".join(metric_of(name).label for name in metrics if metric_of(name).resimulation is resimulation)
-
-
-def to_text(table: pd.DataFrame) -> str:
-    """A `comparison_table` for a console: aligned lines, never truncated, and a note on the re-simulation.
-
-    The best network of a column carries a star.
-    """
-    variants, metrics, cells = cell_texts(table)
-    columns = {head(metric): [_plain(cells[variant, metric]) for variant in variants] for metric in metrics}
-    lines = pd.DataFrame(columns, variants).rename_axis(columns="variant").to_string().splitlines()
-    note = ["", resimulation_note(metrics)] if RESIMULATION in variants else []
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], *note]) + "\n"
-
-
-def _plain(cell: Cell) -> str:
-    spread = f" ± {cell.sd}" if cell.sd else ""
-    star = "*" if cell.best else " "
-    return f"{cell.mean}{spread}{star}"
 
 
 def to_markdown(table: pd.DataFrame) -> str:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from urllib.parse import quote
 
 import pandas as pd
@@ -12,7 +13,7 @@ from mlflow.entities import Metric, Run
 from ablate import analysis
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
-from ablate.publish.store import MOST_FOUND, Store, open_store, plain_files, reason, store_uri
+from ablate.publish.store import MOST_FOUND, Store, default_uri, open_store, plain_files, reason, store_uri
 from ablate.publish.task_view import publish_tasks
 from ablate.publish.training_view import NOTE, PARENT, PUBLISHED, publish_training
 from ablate.publish.waiting import in_time, tried
@@ -59,12 +60,20 @@ def publish_study(settings: StudySettings, study: Study, notes: Sequence[str]) -
     for.
     """
     uri = store_uri(settings)
-    where = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
+    where = f"{_how_to_look(uri)}, and open {settings.study}"
     try:
         in_time(_WAIT_S, lambda: _publish(open_store(settings), settings, study, notes))
     except Exception as error:  # whatever it is, the comparison is on disk
         return f"{where}\nNote: not all is in MLflow yet ({reason(error)}); the same command publishes the rest."
     return where
+
+
+def _how_to_look(uri: str) -> str:
+    """The address of a server, or the command that starts one for a database."""
+    if uri.startswith("http"):
+        return uri
+    has_make = Path("Makefile").exists() and uri == default_uri(Path("runs").resolve())
+    return "make ui" if has_make else f"mlflow ui --workers 1 --backend-store-uri {uri}"
 
 
 def _publish(store: Store, settings: StudySettings, study: Study, notes: Sequence[str]) -> None:

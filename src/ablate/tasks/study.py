@@ -183,8 +183,7 @@ def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_he
     settings = jobs[0].settings
     named = [job.settings.model.target for job in jobs if job.settings.model.target]
     compared = compare_study(asked, settings.study, rebuild, time_here, named)
-    where = publish_study(settings, compared.study, compared.notes)
-    print(f"{on_screen(compared)}\nMLflow         {where}")
+    print(on_screen(compared, publish_study(settings, compared.study, compared.notes)))
     shown = {run.training.folder for run in compared.study.listed.runs}
     others = [one.folder.name for one in trainings_in(asked.folder) if one.is_trained and one.folder not in shown]
     if others:
