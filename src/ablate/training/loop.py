@@ -49,6 +49,7 @@ def train(
     sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
     labels: int = 1,
+    title: str = "",
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
@@ -75,6 +76,8 @@ def train(
         `settings.validate_every` steps; returns metrics.
     labels : int
         Channels of the segmentation in a batch.
+    title : str
+        What the line of progress begins with.
 
     Returns
     -------
@@ -103,7 +106,7 @@ def train(
         resume(module, checkpoint)
     start = module.steps_done
     if start < settings.steps:
-        _finish(module, loader, Report(sink, validation), device, run_dir)
+        _finish(module, loader, Report(sink, validation, title), device, run_dir)
     return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
 
 
