@@ -14,6 +14,7 @@ from urllib.parse import quote, urlencode
 from ablate.analysis import best_first, ordered_metrics, ranked_by
 from ablate.analysis.tables import ARROWS
 from ablate.metrics import Direction, Shown, metric_of, shown_in
+from ablate.metrics.metric import FRAME_TIME
 from ablate.publish.results_view import EXAMPLES
 from ablate.publish.store import Store
 from ablate.storage import digest
@@ -40,7 +41,8 @@ def share_leaderboard(store: Store, study: Study) -> str:
     """Link to a table of the variants of a study, best first, with the means over their seeds; they unfold to runs."""
     by, order = ranked_by(study.table), best_first(study.table)
     names = [name for name in ordered_metrics(list(study.table["metric"])) if name in shown_in(Shown.screen)]
-    columns = [_column("metrics", f"test/{name}") for name in sorted(names, key=lambda name: name != by)]
+    names.sort(key=lambda name: name != by)
+    columns = [_column("metrics", name if name == FRAME_TIME else f"test/{name}") for name in names]
     state = {
         "searchFilter": _of_study(store, study),
         "selectedColumns": columns,
