@@ -82,7 +82,7 @@ def _marked(jobs: Sequence[Job]) -> Iterator[None]:
     if not jobs:
         yield
         return
-    from ablate.publish import mark_study
+    from ablate.publish import mark_study, published_end
 
     groups = _by_study(jobs)
     for group in groups:
@@ -90,6 +90,9 @@ def _marked(jobs: Sequence[Job]) -> Iterator[None]:
     try:
         yield
     finally:
+        for job in jobs:
+            if not job.finished:
+                published_end(job)
         for group in groups:
             all_finished = all(job.finished for job in group)
             mark_study(group[0].settings, Status.finished if all_finished else Status.failed)
