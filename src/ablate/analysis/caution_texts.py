@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis.scored import (
-    BASELINES,
+    BASELINE_NAMES,
     REFERENCE,
     RESIMULATION,
     every_frame,
@@ -72,7 +72,7 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
 def _times_of_resimulation(per_image: pd.DataFrame) -> float:
     """How many times the error of re-simulation the best network has; NaN where it is not known."""
     errors = per_image[per_image["metric"] == CONTROL].groupby("variant")["value"].mean().replace(0.0, np.nan)
-    return errors.drop([*BASELINES.values()], errors="ignore").min() / errors.get(RESIMULATION, np.nan)
+    return errors.drop([*BASELINE_NAMES], errors="ignore").min() / errors.get(RESIMULATION, np.nan)
 
 
 def _least(per_image: pd.DataFrame, metric: str) -> float:

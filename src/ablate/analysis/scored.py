@@ -12,6 +12,7 @@ REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants, as FORMULA is
 #: Renderers without weights by the source of their scores, as they are called among the variants; they do not compete.
 BASELINES = {RESIMULATED: RESIMULATION, FORMULA: FORMULA}
+BASELINE_NAMES = tuple(BASELINES.values())
 CHANGED = 4
 LEVEL = 0.95  # coverage of the intervals of all tables
 
@@ -28,7 +29,7 @@ def variant_group(name: str, reference: str = REFERENCE) -> int:
 
 def is_network(names: pd.Series) -> pd.Series:
     """Which of some variants are networks, and no baseline."""
-    return ~names.isin(set(BASELINES.values()))
+    return ~names.isin(BASELINE_NAMES)
 
 
 def ordered_metrics(metrics: Sequence[str]) -> list[str]:

@@ -173,6 +173,7 @@ def _train(
         sink=log.metrics,
         validation=_validation(settings, data, values, log),
         labels=values.shape[1],
+        title=training.name,
     )
 
 

@@ -51,6 +51,7 @@ def train(
     sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
     labels: int = 1,
+    title: str = "",
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
@@ -77,6 +78,8 @@ def train(
         `settings.validate_every` steps; returns metrics.
     labels : int
         Channels of the segmentation in a batch.
+    title : str
+        What the line of progress begins with.
 
     Returns
     -------
@@ -105,7 +108,7 @@ def train(
         resume(module, checkpoint)
     start = module.steps_done
     if start < settings.steps:
-        _finish(module, loader, Report(sink, validation), device, run_dir)
+        _finish(module, loader, Report(sink, validation, title), device, run_dir)
     trained = module.evaluated.eval().to(device)
     kept = [load_snapshot(run_dir, step, trained) for step in settings.snapshot_steps]
     return TrainedGenerator(trained, checkpoint, start, tuple(kept))
