@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 from ablate.metrics import METRICS, Metric, Pair, evaluate_image, patch_chi2, psnr
 
@@ -101,7 +102,7 @@ IN_PLACE = {
 def test_what_a_metric_changes_past_numpy_is_its_own(make_frame, array):
     """Torch asks no flag of NumPy; neither the caller's arrays nor those of other metrics change."""
     frame = make_frame(0, shape=(100, 140))
-    draws, maps = np.stack([frame.image // 2, frame.image // 3]), {"segmentation": frame.segmentation}
+    draws, maps = np.stack([frame.image // 2, frame.image // 3]), {"segmentation": frame.mask.astype(np.uint8)}
     values = [METRICS["mae"], METRICS["mae_fan"], METRICS["pchi2"], METRICS["shadow_contrast"]]
     before = evaluate_image(frame.pair(draws[0], draws=draws, **maps), values)
     pair = frame.pair(draws[0], draws=draws, **maps)

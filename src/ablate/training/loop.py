@@ -5,7 +5,6 @@ import signal
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,8 @@ from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec, check_saved, read_back
 from ablate.networks.custom import CustomNetwork
 from ablate.setting import identity
-from ablate.storage import remove_partial, written_whole
 from ablate.threads import torch_threads
-from ablate.training.checkpoint import load_generator, read_checkpoint
+from ablate.training.checkpoint import load_generator, load_snapshot, read_checkpoint, write_snapshot, write_weights
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
@@ -35,11 +33,15 @@ _TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16:
 
 @dataclass(frozen=True)
 class TrainedGenerator:
-    """The generator to evaluate, on the device it was trained on, its checkpoint, and the steps done before."""
+    """The generator to evaluate, on the device it was trained on, its checkpoint, and the steps done before.
+
+    `snapshots` are the generators of `settings.snapshot_steps`, which are scored with it.
+    """
 
     generator: Generator
     checkpoint: Path
     resumed_at: int
+    snapshots: tuple[Generator, ...] = ()
 
 
 def train(
@@ -50,6 +52,7 @@ def train(
     sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
     labels: int = 1,
+    title: str = "",
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
@@ -68,7 +71,7 @@ def train(
     loader : callable
         `loader(start, stop)` iterates over the batches of these steps; see `PairGAN.training_step` for a batch.
     run_dir : Path
-        `last.ckpt` is written there, and continued from if it exists.
+        `last.ckpt` is written there, and continued from if it exists; and the weights of `settings.snapshot_steps`.
     sink : callable, optional
         `sink(metrics, images_seen)`; the `log_metrics` of a Lightning logger fits.
     validation : callable, optional
@@ -76,6 +79,8 @@ def train(
         `settings.validate_every` steps; returns metrics.
     labels : int
         Channels of the segmentation in a batch.
+    title : str
+        What the line of progress begins with.
 
     Returns
     -------
@@ -85,8 +90,8 @@ def train(
     Raises
     ------
     ValueError
-        Where the crop is smaller than 2^depth, `last.ckpt` is of another run, or a checkpoint does not give a network
-        of the user's back.
+        Where the crop is smaller than 2^depth, `last.ckpt` is of another run, a snapshot cannot be read, or a
+        checkpoint does not give a network of the user's back.
     InterruptedError
         Where a signal stopped training and the handler of that signal returned.
     DivergenceError
@@ -105,10 +110,12 @@ def train(
         resume(module, checkpoint)
     start = module.steps_done
     if start < settings.steps:
-        _finish(module, loader, Report(sink, validation), device, run_dir)
+        _finish(module, loader, Report(sink, validation, title), device, run_dir)
     # What is scored of a network of the user's is what its checkpoint gives, in this process as in any other.
     trained = module.evaluated if spec.target is None else load_generator(checkpoint, spec.target)
-    return TrainedGenerator(trained.eval().to(device), checkpoint, start)
+    trained = trained.eval().to(device)
+    kept = [load_snapshot(run_dir, step, trained) for step in settings.snapshot_steps]
+    return TrainedGenerator(trained, checkpoint, start, tuple(kept))
 
 
 def _finish(module: PairGAN, loader: Loader, report: Report, device: torch.device, run_dir: Path) -> None:
@@ -182,6 +189,8 @@ class LastCheckpoint(Callback):
         step = module.steps_done
         trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
         is_due = self.every > 0 and step % self.every == 0
+        if step in module.settings.snapshot_steps:  # before the checkpoint, from which it would not be made again
+            write_snapshot(self.path.parent, step, module.evaluated)
         if trainer.should_stop or is_due or step == module.settings.steps:
             self._write(module)
 
@@ -190,14 +199,10 @@ class LastCheckpoint(Callback):
         if not torch.stack([norm.float() for norm in norms]).isfinite().all():
             kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
             raise DivergenceError(f"step {module.steps_done}: weights are not finite{kept}")
-        remove_partial(self.path)  # one process trains a run
         checkpoint = module.checkpoint()
         if isinstance(module.generator.network, CustomNetwork):
             _check_read(module, module.generator.network, checkpoint)
-        content = BytesIO()
-        torch.save(checkpoint, content)  # to a path, a full disk is a RuntimeError
-        with written_whole(self.path) as partial:
-            partial.write_bytes(content.getbuffer())
+        write_weights(self.path, checkpoint)
 
 
 def _check_read(module: PairGAN, network: CustomNetwork, checkpoint: Mapping[str, Any]) -> None:
