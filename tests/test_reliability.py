@@ -71,7 +71,7 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "a value twice": (value_logged_again, "1 values are there twice"),
     "a lost value": (
         lambda runs: execute(runs, "DELETE FROM metrics WHERE key = 'test/mae'"),
-        "2 values are missing or others",
+        "3 values are missing or others",
     ),
     "a run left open": (
         lambda runs: execute(runs, "UPDATE runs SET status = 'RUNNING' WHERE name = 'sa2h/seed0'"),

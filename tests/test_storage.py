@@ -11,7 +11,7 @@ from ablate.storage import digest_of_files, read_json, remove_partial, written_w
 # Calls that write a file in place; what they are given must be the name that `written_whole` gives.
 WRITERS = re.compile(r"\.(write_text|write_bytes|to_csv|to_parquet|savefig)\(|\.(save|savez|savez_compressed)\(")
 # The module that defines `written_whole`, and functions that write to a path their caller has from it.
-WRITES = {"storage.py", "scene.py", "loop.py"}
+WRITES = {"storage.py", "scene.py", "results_view.py"}  # the last to a temporary folder
 
 
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from ablate.analysis import RESIMULATION, StudyResults
 from ablate.command.compose import jobs_of
+from ablate.metrics import METRICS_VERSION
 from ablate.study.comparable import ComparableRuns, comparable_runs, with_earlier
 from ablate.study.job import Job, trainings_of
 from ablate.study.reading import results_of, scored_frames, table_of_runs
@@ -124,7 +125,7 @@ def test_the_floor_is_that_of_the_run_that_has_most_of_it(tmp_path: Path) -> Non
     _, runs = answered(jobs)
     for number, run in enumerate(runs):
         for metric in ("psnr",) if number == 0 else ("psnr", "mae"):
-            key = ScoreKey(metric, "v2", 3, PIXELS)
+            key = ScoreKey(metric, f"v{METRICS_VERSION}", 3, PIXELS)
             write_score(run.training.scores, key, by_metric(scores_of({metric: 20.0}, resimulated=True), [key])[key])
     frames, _ = scored_frames(usable(jobs).all)
     assert set(frames.loc[frames["variant"] == RESIMULATION, "metric"]) == {"psnr", "mae"}

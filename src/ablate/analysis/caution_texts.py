@@ -83,7 +83,7 @@ def _least(per_image: pd.DataFrame, metric: str) -> float:
 
 def _below_the_formula(per_image: pd.DataFrame, reference: str) -> list[str]:
     """Labels of the metrics of the headline in which the reference is worse than the formula."""
-    finite = per_image[np.isfinite(per_image["value"])]
+    finite = per_image[np.isfinite(per_image["value"].astype("float64"))]
     means = finite.groupby(["variant", "metric"])["value"].mean()
     if not {reference, FORMULA} <= set(means.index.get_level_values("variant")):
         return []

@@ -140,11 +140,11 @@ def read_back(state: Mapping[str, Any], where: str) -> dict[str, Any]:
     """What is read from a checkpoint of a state_dict; an UnsavedStateError that begins with `where` if it cannot be."""
     read = {}
     for name, value in state.items():
-        content = BytesIO()
+        in_memory = BytesIO()
         try:
-            torch.save(value, content)
-            content.seek(0)
-            read[name] = torch.load(content, map_location="cpu", weights_only=True)
+            torch.save(value, in_memory)
+            in_memory.seek(0)
+            read[name] = torch.load(in_memory, map_location="cpu", weights_only=True)
         except Exception as error:  # pickle raises many kinds
             allowed = "allowed are tensors, numbers of Python, text, and lists and dicts of them, as of get_extra_state"
             raise UnsavedStateError(f"{where}: its {name} cannot be read from a checkpoint; {allowed}") from error

@@ -16,10 +16,10 @@ from ablate.user_code import check_named, code_digest
 def write_weights(path: Path, content: object) -> None:
     """Write what torch can save, whole; one process writes a file."""
     remove_partial(path)
-    saved = BytesIO()
-    torch.save(content, saved)  # to a path, a full disk is a RuntimeError
+    in_memory = BytesIO()
+    torch.save(content, in_memory)  # to a path, a full disk is a RuntimeError
     with written_whole(path) as partial:
-        partial.write_bytes(saved.getbuffer())
+        partial.write_bytes(in_memory.getbuffer())
 
 
 def write_snapshot(folder: Path, step: int, generator: Generator) -> None:
