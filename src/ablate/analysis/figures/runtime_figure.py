@@ -28,7 +28,6 @@ from ablate.analysis.statistics.work_precision import pareto_front, runtime_poin
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import BOUNDS
 
-PAPER_ANCHORS_MS = {"simulated": 75.0, "generated": 40.0}
 # The simulator with speckle of its own, as a generator has: only this series compares fairly with a trained run.
 OTHER_SPECKLE = "simulator, other scatterers"
 # Series of the simulator: colour, marker, line and size. All others are trained runs.
@@ -53,7 +52,7 @@ def error_vs_runtime(
     hardware: str = "",
     components: Sequence[Component] = (),
 ) -> list[Path]:
-    """Draw error against time, a panel a metric, with the Pareto front, re-simulation and the paper's times.
+    """Draw error against time, a panel a metric, with the Pareto front and re-simulation.
 
     Parameters
     ----------
@@ -132,8 +131,6 @@ def _draw_panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | No
     _draw_front(axes, points if fair.empty else fair, metric)
     if floor is not None:
         axes.axhline(floor, lw=0.9, **baseline_line(metric))
-    for (name, anchor), line in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):
-        axes.axvline(anchor, color="#999999", ls=line, lw=0.9, label=f"paper, {name}: {anchor:.0f} ms, unknown GPU")
     axes.set(xscale="log", xlabel="median time, ms/frame", ylabel=metric_of(metric).title)
     _plain_numbers(axes.xaxis)
 
