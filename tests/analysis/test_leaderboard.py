@@ -1,11 +1,12 @@
 """What a terminal shows fits it, is in the order of a metric, and says how much better the best network is."""
 
 import re
+from random import Random
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ablate import analysis
@@ -41,6 +42,7 @@ def table_of(scalars: pd.DataFrame) -> pd.DataFrame:
 
 
 @settings(max_examples=12, deadline=None)
+@example(["aa", "aa.aa-0.aa-0.aa-0.aa-00000.aa-00000000"], {"mae_smooth", "mae", "motion", "psnr", "pchi2"}, Random(0))
 @given(NAMES, st.sets(st.sampled_from(shown_in(Shown.screen)), min_size=1), st.randoms(use_true_random=False))
 def test_a_comparison_fits_a_terminal_and_has_every_variant_and_every_metric_by_name(names, metrics, random) -> None:
     values = {name: {metric: random.uniform(0, 99) for metric in metrics} for name in [*names, RESIMULATION]}

@@ -88,7 +88,8 @@ def to_text(table: pd.DataFrame, columns: int = SCREEN_COLUMNS) -> str:
     order, by = best_first(table), ranked_by(table)
     metrics = sorted(dict.fromkeys(table["metric"]), key=lambda name: name != by)
     titles = {metric: _title(metric, [cells[variant, metric] for variant in order]) for metric in metrics}
-    widths = {metric: max(map(len, lines)) for metric, lines in titles.items()}
+    printed = {metric: [_value(cells[variant, metric]) for variant in order] for metric in metrics}
+    widths = {metric: max(map(len, [*titles[metric], *printed[metric]])) for metric in metrics}
     names = {variant: _filled(re.split(r"(?=\.)", variant), "", _NAME_COLUMNS) for variant in order}
     width = max(len(line) for lines in names.values() for line in lines)
     ends = np.cumsum([width, *(_GAP + widths[metric] for metric in metrics)])
