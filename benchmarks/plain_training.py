@@ -49,13 +49,11 @@ class PlainGAN:
         # The generator learns to be taken for the image, and to be like it.
         logits = self.discriminator(maps, fake)
         loss_g = cross_entropy(logits, torch.ones_like(logits))
-        error = (mask * (fake - image).abs()).sum() / mask.sum()
+        error = (fake - image).abs().mean()
         l1 = error.item()
         if self.two_draws:
             second = mask * (self.generator(maps) + 1) - 1
-            error_of_second = (mask * (second - image).abs()).sum() / mask.sum()
-            spread = (mask * (fake - second).abs()).sum() / mask.sum()
-            error = (error + error_of_second - spread) / 2
+            error = (error + (second - image).abs().mean() - (fake - second).abs().mean()) / 2
         self.adam_g.zero_grad()
         (loss_g + 100 * error).backward()
         self.adam_g.step()

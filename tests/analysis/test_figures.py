@@ -77,7 +77,10 @@ def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_ban
     box = max(left.patches, key=lambda patch: patch.get_path().get_extents().y1 if patch.get_zorder() > 0 else -1)
     extent = box.get_path().get_extents()
     assert (extent.x0, extent.x1) == pytest.approx(tuple(np.quantile(delta, [0.25, 0.75])))
-    assert legend_of(figures["boxplots"]) == ["re-simulation, median and quartiles (dashed: floor, dotted: level)"]
+    assert legend_of(figures["boxplots"]) == [
+        "re-simulation, quartiles",
+        "re-simulation, median (dashed: floor, dotted: level)",
+    ]
     assert "better →" in left.get_xlabel()
     assert "← better" in right.get_xlabel()
 

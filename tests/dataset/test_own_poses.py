@@ -7,7 +7,9 @@ import pytest
 from nibabel.affines import from_matvec
 from scipy.spatial.transform import Rotation
 
-from ablate.dataset.own_poses import read_poses
+from ablate.dataset import Part
+from ablate.dataset.own_poses import near_training, read_poses
+from ablate.ultrasound import ConvexProbe
 
 ROW = "x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n"
 
@@ -69,3 +71,34 @@ def test_a_file_that_is_absent_or_of_another_kind_is_named(tmp_path: Path) -> No
         read_poses(tmp_path / "p.npy")
     with pytest.raises(ValueError, match=r"allowed are \.npy and \.csv"):
         read_poses(tmp_path / "p.mat")
+
+
+def at(*, x: float = 0.0, roll_deg: float = 0.0, tilt_deg: float = 0.0) -> np.ndarray:
+    turn = Rotation.from_euler("zx", [roll_deg, tilt_deg], degrees=True).as_matrix()
+    return from_matvec(turn, [x, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("test", "nearest_mm"),
+    [
+        (at(x=0.3), 0.3),  # all three points move as far
+        (at(x=1.9), 1.9),
+        (at(x=2.1), None),
+        (at(), 0.0),
+        (at(tilt_deg=0.5), 2 / 3**0.5 * 150 * np.sin(np.deg2rad(0.5)) / 2**0.5),  # two of three points, 150 mm deep
+        (at(tilt_deg=5), None),
+        (at(roll_deg=90), None),
+    ],
+)
+def test_a_frame_of_test_that_sees_what_training_saw_is_said(test: np.ndarray, nearest_mm: float | None) -> None:
+    poses = np.stack([at(), at(x=30), at(x=60), test])
+    said = near_training(poses, np.array([Part.train, Part.train, Part.validation, Part.test]), ConvexProbe())
+    if nearest_mm is None:
+        assert said == ""
+    else:
+        assert said.startswith("1 of 1 test frames are within 2 mm of a training frame (the nearest ")
+        assert float(said.split("nearest ")[1].split()[0]) == pytest.approx(nearest_mm, abs=0.06)
+
+
+def test_without_training_frames_none_is_near() -> None:
+    assert near_training(np.stack([at(), at()]), np.full(2, Part.test), ConvexProbe()) == ""

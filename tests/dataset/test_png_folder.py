@@ -1,12 +1,16 @@
 """A folder of PNGs is taken as it is, or refused with the name of what does not fit."""
 
+import re
 import shutil
 import struct
 import zlib
 from pathlib import Path
+from typing import Literal
+from unicodedata import normalize
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 from skimage.io import imread, imsave
 
 from ablate.dataset import (
@@ -17,11 +21,13 @@ from ablate.dataset import (
     content_digest,
     create_pairs,
     import_pairs,
+    picture_digests,
     read_fan,
     validate_png_folder,
 )
+from ablate.dataset.png_tables import odd_lengths
 from ablate.networks import Space
-from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, fan_mask
 from ablate.ultrasound.probe import pixel_coordinates_mm, square_pixels
 
 H, W = 20, 30
@@ -175,6 +181,84 @@ def test_what_does_not_fit_is_named_in_one_line(
     assert "\n" not in str(caught.value)
     with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
         validate_png_folder(folder / "nowhere")
+
+
+@pytest.mark.parametrize("file", ["NFC", "NFD"])
+@pytest.mark.parametrize("table", ["NFC", "NFD"])
+@pytest.mark.parametrize("ending", ["", ".png", ".PNG"])
+def test_a_frame_is_known_by_its_name_however_it_is_spelled(
+    folder: Path, file: Literal["NFC", "NFD"], table: Literal["NFC", "NFD"], ending: str
+) -> None:
+    """macOS decomposes names of files, and a table may name a file as it is called or without its ending."""
+    for name in ("segmentation", "image"):
+        for path in (folder / name).iterdir():
+            path.rename(path.with_name(normalize(file, f"Mädchen_{path.stem}.PNG")))
+    rows = [f"Mädchen_{name}{ending},{normalize(file, 'Bürger')}" for name in NAMES]
+    checked = validate_png_folder(folder)
+    assert checked.names == tuple(f"Mädchen_{name}" for name in NAMES)
+    assert set(checked.sites) == {"Mädchen_a", "Mädchen_b", "Mädchen_c"}
+    (folder / "frames.csv").write_text(normalize(table, "\n".join(["name,site", *rows])), encoding="utf-8")
+    assert set(validate_png_folder(folder).sites) == {"Bürger"}
+
+
+def test_a_name_that_ends_as_a_file_is_still_its_own(folder: Path) -> None:
+    for name in ("segmentation", "image"):
+        (folder / name / "c_0.png").rename(folder / name / "a_0.png.png")
+    rows = "".join(f"{name},{k}\n" for k, name in enumerate(["a_0.png", "a_0", "a_1", "b_0", "b_1"]))
+    (folder / "frames.csv").write_text(f"name,site\n{rows}")
+    checked = validate_png_folder(folder)
+    assert dict(zip(checked.names, checked.sites, strict=True))["a_0.png"] == "0"
+
+
+@pytest.mark.parametrize("other", ["a_0.PNG", "a_0.Png", "ü_0.png"])
+def test_two_files_of_one_frame_are_named(folder: Path, other: str) -> None:
+    for path in [folder / "image" / normalize("NFD", other), folder / "image" / normalize("NFC", other)]:
+        shutil.copy(folder / "image" / "b_0.png", path)
+    with pytest.raises(ValueError, match=r"image/.*: there is .*, too; allowed is one file a frame"):
+        validate_png_folder(folder)
+
+
+@pytest.mark.parametrize("turned", range(1, 9))
+@pytest.mark.parametrize("place", ["segmentation", "image", "attenuation"])
+def test_a_picture_that_viewers_turn_is_refused(folder: Path, tmp_path: Path, turned: int, place: str) -> None:
+    for name in NAMES:
+        save(folder / "attenuation" / f"{name}.png", np.zeros((H, W), np.uint8))
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = turned
+    path = folder / place / "b_0.png"
+    Image.fromarray(imread(path)).save(path, exif=exif)
+    if turned == 1:
+        imported(validate_png_folder(folder), tmp_path / "set")
+        return
+    with pytest.raises(ValueError, match=rf"{place}/b_0\.png: has an Exif orientation of {turned}, so viewers turn it"):
+        imported(validate_png_folder(folder), tmp_path / "set")
+
+
+def test_pictures_are_the_same_whatever_compresses_them_and_whatever_lies_outside_the_fan(folder: Path) -> None:
+    picture = imread(folder / "image" / "a_0.png")
+    Image.fromarray(picture).save(folder / "image" / "b_0.png", compress_level=0)
+    save(folder / "image" / "c_0.png", np.where(FAN, picture, 255 - picture))
+    first, other, *same = picture_digests(validate_png_folder(folder), FAN)
+    assert same == [first, same[1], first]
+    assert len({first, other, same[1]}) == 3
+
+
+@pytest.mark.parametrize(
+    ("probe", "odd"),
+    [
+        (ConvexProbe(), ""),
+        (ConvexProbe(radius_mm=10, fov_deg=120, depth_mm=80), ""),  # within the body
+        (LinearProbe(width_mm=25, depth_mm=30), ""),
+        (ConvexProbe(radius_mm=4, fov_deg=70, depth_mm=15), "radius_mm: 4 .* and depth_mm: 15 "),  # cm
+        (ConvexProbe(radius_mm=0.04, fov_deg=70, depth_mm=0.15), "radius_mm: 0.04 .* and depth_mm: 0.15 "),  # m
+        (ConvexProbe(radius_mm=40, fov_deg=70, depth_mm=1500), "depth_mm: 1500 "),
+        (LinearProbe(width_mm=3.8, depth_mm=4), "width_mm: 3.8 .* and depth_mm: 4 "),
+        (PhasedProbe(aperture_mm=2, depth_mm=160), "aperture_mm: 2 "),
+    ],
+)
+def test_lengths_that_no_probe_has_are_named(probe: Probe, odd: str) -> None:
+    assert bool(odd_lengths(probe)) == bool(odd)
+    assert re.match(odd, odd_lengths(probe))
 
 
 def test_a_folder_of_jpegs_is_refused_with_the_reason(folder: Path) -> None:

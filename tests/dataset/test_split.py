@@ -46,3 +46,15 @@ def test_a_word_is_the_kind_of_split_that_it_names() -> None:
     np.testing.assert_array_equal(named, split_frames(sites, SplitBy.site, 0.2, 0.2, 0))
     with pytest.raises(ValueError, match="sites"):
         split_frames(sites, "sites", 0.2, 0.2, 0)  # type: ignore[arg-type]
+
+
+@given(st.integers(8, 40), st.integers(4, 8), st.integers(0, 5))
+def test_both_ways_half_of_the_test_frames_are_of_sites_that_nothing_else_has(
+    sites: int, per_site: int, seed: int
+) -> None:
+    site = np.repeat(np.arange(sites), per_site)
+    part = split_frames(site, SplitBy.both, 0.05, 0.2, seed)
+    of_others = np.isin(site[part == Part.test], site[part != Part.test])
+    assert abs((~of_others).sum() - 0.1 * len(site)) <= per_site
+    assert abs(of_others.sum() - 0.1 * len(site)) <= per_site
+    assert abs((part == Part.validation).sum() - 0.05 * len(site)) <= 1

@@ -18,7 +18,17 @@ from ablate.anatomy import load_tissues
 from ablate.command.checks import check
 from ablate.command.compose import jobs_of
 from ablate.dataset import Part
-from ablate.evaluation import ImageSource, Scorer, Scores, joined, resimulation_images, score_run, tissue_labels
+from ablate.evaluation import (
+    ImageSource,
+    Scorer,
+    Scores,
+    averaged,
+    baselines,
+    joined,
+    resimulation_images,
+    score_run,
+    tissue_labels,
+)
 from ablate.evaluation.scores import not_computed
 from ablate.metrics import (
     Pair,
@@ -97,7 +107,9 @@ def scored(data: Data, job: Job, images_of: ImageSource, *names: str) -> Scores:
 
 
 def score(settings: StudySettings, data: Data) -> Scores:
-    return score_run(scorer(settings, data), resimulation_images(data.pairs), draws_noise=True)
+    chosen = scorer(settings, data)
+    beside = baselines(chosen, settings.model)[:1]  # re-simulation
+    return score_run(chosen, resimulation_images(data.pairs), draws_noise=True, beside=beside)
 
 
 @pytest.fixture
@@ -248,7 +260,7 @@ def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, call
     more = score(job(runs, "metrics=[mae,mae_fan]").settings, data)
     assert len(calls) == 12, "another metric, other scores"
     assert more.scalars["test/floor_mae"] == first.scalars["test/floor_mae"]
-    for kept in (data.pairs.folder / "resimulation").glob("*.json"):
+    for kept in (data.pairs.folder / "baselines").glob("*.json"):
         kept.write_text("{")
     third = score(settings, data)
     assert len(calls) == 16, "damaged files are made again"
@@ -275,17 +287,17 @@ def test_no_score_depends_on_which_other_metrics_are_asked_for(
         return (data.pairs.read("resimulation", frames) // 2 + np.stack(noise)).astype(np.uint8)
 
     def scores_of(*asked: str) -> Scores:
-        shutil.rmtree(data.pairs.folder / "resimulation", ignore_errors=True)
+        shutil.rmtree(data.pairs.folder / "baselines", ignore_errors=True)
         metrics = choose_metrics(asked)
         scorer = Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
-        return score_run(scorer, images_of, draws_noise=True)
+        return score_run(scorer, images_of, draws_noise=True, beside=baselines(scorer, settings.model))
 
     together = scores_of(*names)
     alone = {name.rpartition(".")[2]: scores_of(name) for name in names}
     for name, scores in alone.items():
         of_metric = together.of_metric(name)
         assert of_metric.scalars == scores.scalars
-        assert {f"test/{name}", f"val/{name}", f"test/floor_{name}"} <= scores.scalars.keys()
+        assert {f"test/{name}", f"val/{name}", f"test/floor_{name}", f"test/formula_{name}"} <= scores.scalars.keys()
         assert of_metric.per_image.to_dict("list") == scores.per_image.to_dict("list")
     assert alone["fid"].scalars.keys() >= {"test/fid_lower", "test/floor_fid_upper"}
     again = joined(list(alone.values()))
@@ -370,3 +382,18 @@ def test_metrics_added_later_are_computed_without_training(runs: Path, network: 
     assert {"test/pchi2", "test/kid", "test/mae"} <= after.keys()
     assert (after["test/mae"], after["train/seconds"]) == (before["test/mae"], before["train/seconds"])
     assert set(run_of(more).scores["metric"]) == {"mae", "pchi2"}
+
+
+def test_scores_of_several_snapshots_are_their_means() -> None:
+    def scores(value: float, *frames: int) -> Scores:
+        rows = [(frame, 0, "mae", value + frame, "model", "test") for frame in frames]
+        columns = ["frame", "site", "metric", "value", "source", "split"]
+        return Scores(pd.DataFrame(rows, columns=columns), {"test/mae": value}, {"fid": "none"}, (str(value),))
+
+    mean = averaged([scores(1.0, 0, 1), scores(4.0, 0, 1, 2)])
+    assert mean.per_image["value"].tolist() == [2.5, 3.5, 6.0]
+    assert list(mean.per_image) == ["frame", "site", "metric", "value", "source", "split"]
+    assert mean.scalars == {"test/mae": 2.5}
+    assert mean.about_output == ("4.0",)
+    one = scores(1.0, 0)
+    assert averaged([one]) is one

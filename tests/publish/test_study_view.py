@@ -1,13 +1,18 @@
 """A study has one run in MLflow: its comparison, above the runs of its trainings, all of it made again from disk."""
 
+import base64
+import json
 import re
 import shutil
 import sqlite3
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs
 
 import pytest
 from mlflow.entities import Run
@@ -48,18 +53,51 @@ def study_in(runs: Path) -> Run:
     return active_runs(runs)["study"]
 
 
-def test_the_page_of_a_study_links_to_its_report_and_to_its_variants_side_by_side(stopped_once: Job) -> None:
-    shown = active_runs(stopped_once.settings.results)
+def shared_view(runs: Path, link: str) -> dict[str, Any]:
+    """What MLflow's pages read of the experiment when a link is opened."""
+    key = parse_qs(link.partition("?")[2])["viewStateShareKey"][0]
+    content = client_of(runs).get_experiment("1").tags[f"mlflow.sharedViewState.{key}"]
+    state: dict[str, Any] = json.loads(zlib.decompress(base64.b64decode(content.removeprefix("deflate;"))))
+    return state
+
+
+def test_the_page_of_a_study_says_who_is_best_and_links_to_what_shows_it(stopped_once: Job) -> None:
+    runs = stopped_once.settings.results
+    shown = active_runs(runs)
     study, child = shown["study"], shown["sa2h/seed0"]
     note = study.data.tags["mlflow.note.content"]
-    assert f"(#/experiments/1/runs/{study.info.run_id}/artifacts/report.html)" in note
-    assert f"(#/compare-runs?runs=%5B%22{child.info.run_id}%22%5D&experiments=%5B%221%22%5D)" in note
+    assert note.startswith("**Best**: sa2h by ")
+    links = dict(re.findall(r"\[([^]]+)\]\((#/experiments/1/runs[^)]+)\)", note))
+    assert links["Report"] == f"#/experiments/1/runs/{study.info.run_id}/artifacts/report.html"
+    charts, table = (shared_view(runs, links[name]) for name in ("Side by side", "Leaderboard"))
+    by_name = {run.info.run_id: run for run in shown.values()}
+    for view, names in ((charts, {"sa2h/seed0"}), (table, {"sa2h/seed0"})):
+        found = client_of(runs).search_runs(["1"], view["searchFilter"])
+        assert {by_name[run.info.run_id].info.run_name for run in found} == names
+    sections = {section["uuid"] for section in charts["compareRunSections"]}
+    assert {card["metricSectionId"] for card in charts["compareRunCharts"]} <= sections
+    bars = [card["metricKey"] for card in charts["compareRunCharts"] if card["type"] == "BAR"]
+    assert set(bars) <= child.data.metrics.keys()
+    assert {column.split("`")[1] for column in table["selectedColumns"]} <= child.data.metrics.keys() | {"ms_per_frame"}
     assert re.search(r"\| sa2h\s+\| 1", note)
     assert re.search(r"\n\| --- \| ---: \|", note)
     assert "nothing is compared" in note
-    assert study.data.metrics.keys() >= {f"test/psnr/{name}" for name in ("sa2h", "re-simulation")}
+    assert study.data.tags["best"] == "sa2h"
     assert child.data.metrics["ms_per_frame"] > 0
     assert (study.info.status, child.data.tags["mlflow.parentRunId"]) == ("FINISHED", study.info.run_id)
+
+
+def test_studies_are_in_one_table_with_the_best_network_of_each(stopped_once: Job) -> None:
+    runs = stopped_once.settings.results
+    (link,) = re.findall(
+        r"\[All studies\]\((#[^)]+)\)", client_of(runs).get_experiment("1").tags["mlflow.note.content"]
+    )
+    view = shared_view(runs, link)
+    (study,) = client_of(runs).search_runs(["1"], view["searchFilter"])
+    kinds = {column.split(".")[0] for column in view["selectedColumns"]}
+    assert kinds == {"tags", "metrics"}
+    assert {"best", "test/psnr"} <= {column.split("`")[1] for column in view["selectedColumns"]}
+    assert "test/psnr" in study.data.metrics
 
 
 def test_the_run_of_a_study_has_the_files_of_its_comparison_and_how_it_was_made(runs: Path) -> None:
@@ -69,8 +107,8 @@ def test_the_run_of_a_study_has_the_files_of_its_comparison_and_how_it_was_made(
     on_disk = {path.name for path in (runs / "study" / "comparison").iterdir()} - {"linked.csv"}
     assert {"report.html", "table.csv", "table.tex", "verdicts.csv", "paired.csv"} < on_disk
     assert files_of(runs, run).keys() == on_disk
-    means = {f"test/psnr/{name}": mean for name, mean in (("sa2h", 21.0), ("sa2h-att", 22.0), ("re-simulation", 21.0))}
-    assert {key: value for key, value in run.data.metrics.items() if "psnr/" in key} == means
+    assert run.data.metrics == {"test/psnr": 22.0, "test/mae": 22.0}, "of the network with the best PSNR"
+    assert run.data.tags["best"] == "sa2h-att"
     assert run.data.tags.items() >= {"git_commit": "abc", "hardware": "a laptop"}.items()
     assert run.data.params == {"scene": "fetal"}
     parents = {name: content["parent"] for name, content in content_of(runs).items()}
@@ -96,7 +134,7 @@ def test_nothing_of_an_earlier_comparison_stays(runs: Path) -> None:
     publish(jobs[:1], rebuild=True)  # otherwise the job would keep the comparison that it is in
     run = study_in(runs)
     assert "boxplots.png" not in files_of(runs, run)
-    assert "test/psnr/sa2h-att" not in run.data.metrics
+    assert run.data.metrics["test/psnr"] == 21.0, "sa2h-att was better"
     children = {name: content["parent"] for name, content in content_of(runs).items() if name != "study"}
     assert children == {"sa2h/seed0": "study", "sa2h-att/seed0": "study"}, "it is a training of the study all the same"
 
@@ -159,7 +197,7 @@ def test_artifacts_of_a_run_that_lie_elsewhere_are_not_written_to(runs: Path, pl
     jobs = finished(runs, VARIANTS[:1])
     publish(jobs)
     with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
-        connection.execute("DELETE FROM tags WHERE key = 'published'")
+        connection.execute("DELETE FROM tags WHERE key = 'mlflow.ablate.published'")
         connection.execute("UPDATE runs SET status = 'RUNNING'")  # so that they are gone on with
         for (run_id,) in connection.execute("SELECT run_uuid FROM runs").fetchall():
             uri = f"{runs.parent.as_uri()}/{place.format(id=run_id)}"
@@ -175,7 +213,7 @@ def test_a_store_that_is_gone_or_slow_is_named_and_not_waited_for_and_has_all_la
 ) -> None:
     jobs = finished(runs)
     where = publish([job_in(runs, variant, uri="http://127.0.0.1:9") for variant in VARIANTS])
-    assert where.startswith("http://127.0.0.1:9\nNote: not all is in MLflow yet (")
+    assert where.startswith("http://127.0.0.1:9, and open study\nNote: not all is in MLflow yet (")
     with monkeypatch.context() as patch:
         patch.setattr(study_view, "_WAIT_S", 0.2)
         patch.setattr(study_view, "_MARK_S", 0.2)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from ablate.publish import following, mark_study, timer
+from ablate.publish import following, mark_study, published_end, timer
 from ablate.publish.waiting import in_time
 from ablate.study.log import Status
-from support.published import active_runs, another_process, content_of, finish, job_in, train
+from support.published import active_runs, another_process, client_of, content_of, finish, job_in, train
 
 NAME = "sa2h/seed0"
 
@@ -87,6 +87,18 @@ def test_what_stops_a_training_is_raised_and_its_run_says_so(runs: Path) -> None
     with pytest.raises(ZeroDivisionError):
         stopped()
     assert shown_within(runs, Status.failed, 0.5)
+
+
+@pytest.mark.usefixtures("often")
+def test_a_training_whose_process_was_killed_is_shown_as_killed_by_what_started_it(runs: Path) -> None:
+    job = job_in(runs)
+    with following(job):
+        train(job, range(2), None)
+        assert shown_within(runs, Status.running)
+    client_of(runs).update_run(active_runs(runs)[NAME].info.run_id, status="RUNNING")  # as nobody told of the end
+    client_of(runs).delete_tag(active_runs(runs)[NAME].info.run_id, "mlflow.ablate.published")
+    published_end(job)
+    assert active_runs(runs)[NAME].info.status == "KILLED"
 
 
 def test_a_job_that_was_stopped_before_it_began_is_not_shown(runs: Path) -> None:

@@ -1,17 +1,24 @@
 """A training has one run in MLflow, equal to its folder, however often it was stopped or published."""
 
 import json
+import re
 import shutil
-from contextlib import suppress
+import sqlite3
+from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any
 
 import mlflow.data
+import numpy as np
 import pandas as pd
 import pytest
+import torch
 from mlflow import MlflowClient
 from mlflow.data.schema import TensorDatasetSchema
 from mlflow.entities import Run
+from PIL import Image
 
+import ablate
 from ablate.publish import default_uri
 from ablate.publish.store import open_store
 from ablate.publish.study_view import study_run
@@ -19,6 +26,7 @@ from ablate.publish.training_view import publish_training
 from ablate.study.job import Job
 from ablate.study.log import Status
 from ablate.study.training import Training
+from ablate.training import load_generator
 from support.published import (
     active_runs,
     another_process,
@@ -69,8 +77,7 @@ def test_a_run_has_what_is_in_the_folder_of_its_training(runs: Path) -> None:
     tags = {"variant": "sa2h", "seed": "0", "study": "study", "config_hash": job.hash, "git_commit": "abc"}
     assert run.data.tags.items() >= tags.items()
     assert (run.info.run_name, run.info.status) == (NAME, "FINISHED")
-    newest = {f"images/newest~5+step+3{suffix}" for suffix in (".png", ".webp")}
-    assert files_of(runs, run).keys() == images(range(4)) | newest | {"per_image.parquet", "provenance/made_with.json"}
+    assert files_of(runs, run).keys() == images(range(4)) | {"per_image.parquet", "provenance/made_with.json"}
     table = pd.read_parquet(client_of(runs).download_artifacts(run.info.run_id, "per_image.parquet"))
     assert len(table) == 12, "two metrics of three frames, and of these simulated again"
 
@@ -108,8 +115,40 @@ def test_a_real_training_goes_on_in_its_run_where_it_was_stopped(stopped_once: J
     assert [point.step for point in curve] == [0, 1, 2, 3, 4]
     names = [name for name in files_of(runs, run) if name.endswith(".png")]
     assert len([name for name in names if "frames~" in name]) == 2 * 5  # two frames, each step once
-    assert len([name for name in names if "newest~" in name]) == 2
     assert {"config.json", "starts.json"} <= {Path(name).name for name in files_of(runs, run)}
+
+
+def test_a_run_has_its_network_to_load_and_test_frames_beside_their_targets(stopped_once: Job) -> None:
+    runs, training = stopped_once.settings.results, stopped_once.training
+    run = active_runs(runs)[NAME]
+    note = run.data.tags["mlflow.note.content"]
+    (download, load) = re.findall(r"`(path = .+?|renderer = .+?)`", note)
+    scope: dict[str, Any] = {"mlflow": mlflow, "ablate": ablate}
+    exec(f"{download}\n{load}", scope)
+    expected = load_generator(training.checkpoint).state_dict()
+    loaded = scope["renderer"].generator.state_dict()
+    assert loaded.keys() == expected.keys()
+    assert all(torch.equal(loaded[name], expected[name]) for name in expected)
+    psnr = run.data.metrics["test/psnr"]
+    assert f"PSNR ↑ **{psnr:.2f}**" in note
+    pictures = training.pictures
+    first = min(pictures)
+    rows, columns = pictures[first].shape
+    (path,) = (runs / "artifacts" / run.info.run_id).rglob("examples~test+*.png")
+    top = np.asarray(Image.open(path))[16 : 16 + rows]  # below a line of text
+    np.testing.assert_array_equal(top[:, :columns], pictures[first])
+    np.testing.assert_array_equal(top[:, columns:], stopped_once.data.pairs.read("target", [first])[0])
+
+
+def test_test_frames_come_first_in_what_is_published_whole(runs: Path) -> None:
+    """MLflow's pages list metrics in the order in which they were logged first."""
+    job = job_in(runs)
+    finish(job)
+    run = publish(job)
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection:
+        question = "SELECT key FROM latest_metrics WHERE run_uuid = ? ORDER BY rowid"
+        keys = [key for (key,) in connection.execute(question, (run.info.run_id,))]
+    assert keys[:4] == ["test/psnr", "test/mae", "test/floor_psnr", "test/floor_mae"]
 
 
 @pytest.mark.parametrize("ended", [Status.killed, Status.failed, None], ids=["stopped", "failed", "killed"])

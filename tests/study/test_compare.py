@@ -17,7 +17,7 @@ from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, read_json, write_json
 from ablate.study.comparable import comparable_runs, levels_of, with_earlier
-from ablate.study.compare import compare_study, write_comparison
+from ablate.study.compare import compare_study, on_screen, write_comparison
 from ablate.study.frame_times import TIMES, network_of, timed_on
 from ablate.study.opened import Study
 from ablate.study.reading import pictures
@@ -409,6 +409,24 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, mo
     (study / "comparison" / "report.html").unlink()
     again()
     assert (study / "comparison" / "report.html").exists()
+
+
+def test_a_terminal_shows_the_table_what_is_to_be_known_and_three_lines(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study.parent)
+    set_values(run_in(study, "nsa2h", 0), "mae", lambda t: t["frame"] == 5, np.nan)  # which is a note
+    asked = read_list(study)
+    compared_study = compare_study(asked, "a study", rebuild=True, time_here=False)
+    printed = on_screen(compared_study, "make ui").splitlines()
+    assert max(map(len, printed)) <= 100
+    assert "MAE: " in " ".join(line for line in printed if line.startswith("Note: "))
+    *_, report, look = printed
+    (best,) = [k for k, line in enumerate(printed) if line.startswith("Best    ")]
+    means = compared_study.study.table.query("metric == 'pchi2' and variant != @RESIMULATION").set_index("variant")
+    assert printed[best].startswith(f"Best    {means['mean'].idxmin()} by pχ² ↓: {means['mean'].min():.3f} (")
+    assert all(line.startswith("        ") for line in printed[best + 1 : -2])
+    assert (report, look) == ("Report  quick-fetal/comparison/report.html", "Look    make ui")
 
 
 def test_no_run_at_all_is_one_line_that_says_why(tmp_path: Path) -> None:

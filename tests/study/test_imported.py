@@ -11,6 +11,7 @@ from skimage.io import imsave
 
 from ablate.command.compose import jobs_of
 from ablate.command.launch import Launch
+from ablate.dataset import Part
 from ablate.dataset.export_formats import write_png
 from ablate.dataset.png_folder import FOLDERS
 from ablate.settings.study import ConfigurationError
@@ -107,6 +108,26 @@ def test_frames_of_no_named_site_are_said(folder: Path, runs: Path, tmp_path: Pa
     where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={runs}"]
     assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
     assert any("sites: none are named" in line for line in data_of(runs).about["left_out"]) is not named
+
+
+@pytest.mark.parametrize("patients", [4, 12])
+def test_pictures_that_are_in_two_parts_are_said(folder: Path, runs: Path, tmp_path: Path, patients: int) -> None:
+    """Four pictures, each of three frames, of one patient or of three."""
+    shutil.copytree(folder, tmp_path / "own")
+    names = [f"frame{k:05d}" for k in range(12)]
+    for k, name in enumerate(names):
+        for place in ("segmentation", "image"):
+            shutil.copy(folder / place / f"{names[k % 4]}.png", tmp_path / "own" / place / f"{name}.png")
+    rows = [f"{name},{k % patients}" for k, name in enumerate(names)]
+    (tmp_path / "own" / "frames.csv").write_text("\n".join(["name,site", *rows]))
+    where = ["scene=pairs", f"scene.folder={tmp_path / 'own'}", f"runs_dir={runs}"]
+    assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
+    said = [line for line in data_of(runs).about["left_out"] if "the same pictures are in two parts" in line]
+    assert bool(said) == (patients == 12)
+    pairs = data_of(runs).pairs
+    training = {pairs.stored("target", int(i)).tobytes() for i in pairs.frames(Part.train)}
+    twice = sum(pairs.stored("target", int(i)).tobytes() in training for i in pairs.frames(Part.test))
+    assert not said or f"{twice} of {len(pairs.frames(Part.test))} test frames" in said[0]
 
 
 def test_settings_that_decide_nothing_about_pairs_are_said(folder: Path, runs: Path, tmp_path: Path) -> None:

@@ -61,6 +61,18 @@ def test_what_places_a_grid_decides_nothing_and_files_that_were_edited_since_are
         prepare_data(job.settings, job.data, job.identity["data"], frozenset())
 
 
+@pytest.mark.parametrize(("apart_mm", "said"), [(0.3, True), (4.0, False)])
+def test_poses_that_nearly_coincide_are_said_though_each_is_a_site(folder: Path, apart_mm: float, said: bool) -> None:
+    poses = np.load(folder / "poses.npy")
+    poses[:, 0, 3] = apart_mm * np.arange(11)
+    np.save(folder / "poses.npy", poses)
+    (job,) = jobs_of(arguments(folder, "dataset.frames=11"))
+    data = prepare_data(job.settings, job.data, job.identity["data"], frozenset({"segmentation", "target"}))
+    lines = [line for line in data.about["left_out"] if "of a training frame" in line]
+    assert bool(lines) == said
+    assert not said or "(the nearest 0.3 mm)" in lines[0]
+
+
 def test_a_preset_asks_for_no_more_frames_than_there_are_poses(folder: Path) -> None:
     np.save(folder / "poses.npy", np.load(folder / "poses.npy")[:2])
     with pytest.raises(ConfigurationError, match=r"^training\.batch_size=3: more than the 1 training frames"):

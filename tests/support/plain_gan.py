@@ -112,7 +112,7 @@ class PlainLocal(nn.Module):
 
 
 class PlainUNet(nn.Module):
-    """pix2pix's U-Net without dropout; its parameters are named as those of `UNetwork`."""
+    """The U-Net of pix2pix without dropout and with norms after activations; parameters are named as in `UNetwork`."""
 
     def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
         super().__init__()
@@ -128,19 +128,17 @@ class PlainUNet(nn.Module):
 
     def forward(self, stacked: Tensor) -> Tensor:
         """Render the stacked conditions, (N, conditions, H, W); H and W are multiples of 2^depth."""
-        features = self.down[0](with_noise(stacked, self.spec))
-        skips = []
-        for layer in self.down[1:-1]:
-            skips.append(features)
-            features = F.instance_norm(layer(F.leaky_relu(features, 0.2)))
-        skips.append(features)
-        features = self.down[-1](F.leaky_relu(features, 0.2))
-        for index, layer in enumerate(self.up):
-            features = F.relu(features if index == 0 else torch.cat([skips.pop(), features], 1))
-            features = layer(features)
-            if index < len(self.up) - 1:
+        features = with_noise(stacked, self.spec)
+        encoded = []
+        for layer in self.down:
+            features = F.leaky_relu(layer(features), 0.2)
+            if features.shape[-2:].numel() > 1:
                 features = F.instance_norm(features)
-        return torch.tanh(features)
+            encoded.append(features)
+        for index, layer in enumerate(self.up[:-1]):
+            decoded = F.instance_norm(F.relu(layer(features)))
+            features = torch.cat([encoded[-2 - index], decoded], 1)
+        return torch.tanh(self.up[-1](features))
 
 
 class PlainDiscriminator(nn.Module):

@@ -23,7 +23,7 @@ from ablate.study.scores import Score, write_score
 from ablate.study.training import Training
 
 PIXELS = "0123456789abcdef"
-_OF_THE_MOMENT = ("mlflow.parentRunId", "mlflow.note.content", "mlflow.user", "published")
+_OF_THE_MOMENT = ("mlflow.parentRunId", "mlflow.note.content", "mlflow.user", "mlflow.ablate.published")
 
 
 @cache

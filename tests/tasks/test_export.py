@@ -3,13 +3,18 @@
 import csv
 import json
 import shutil
+import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pydicom
 import pytest
 import zarr
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
 from ablate.command.compose import jobs_of
@@ -18,6 +23,8 @@ from ablate.dataset.dicom_files import write_cine, write_dicom
 from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.settings.study import ConfigurationError
 from ablate.sources.data_set import DataSet
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import pixel_size_mm
 from support.scene_folders import ball_folder
 from support.studies import run
 
@@ -79,25 +86,72 @@ def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys
     assert np.array_equal(held, pairs.stored("segmentation", frame))
 
 
+class OfTissues:
+    """Pairs of one frame of 2 x 2 pixels, with tissues of these names."""
+
+    def __init__(self, tissues: Sequence[str], labels: Sequence[int], folder: Path | None = None) -> None:
+        self.tissues, self.split, self.folder = tuple(tissues), np.array([Part.train]), folder
+        self.held = {"segmentation": np.uint8(labels).reshape(2, -1), "target": np.uint8(labels).reshape(2, -1)}
+
+    def __len__(self) -> int:
+        return 1
+
+    def stored(self, name: str, _: int) -> np.ndarray:
+        return self.held[name]
+
+    def mask(self) -> np.ndarray:
+        return self.held["segmentation"] > 0
+
+    def frames(self, part: Part) -> np.ndarray:
+        return np.flatnonzero(self.split == part)
+
+
 def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
-    stored = {"segmentation": np.uint8([[0, 1], [4, 5]]), "target": np.uint8([[0, 9], [9, 9]])}
-
-    class OfThreeTissues:
-        tissues, split = ("background", "bone", "gas", "liver", "liver"), np.array([Part.train])
-
-        def __len__(self) -> int:
-            return 1
-
-        def stored(self, name: str, _: int) -> np.ndarray:
-            return stored[name]
-
-        def frames(self, part: Part) -> np.ndarray:
-            return np.flatnonzero(self.split == part)
-
-    write_nnunet(OfThreeTissues(), tmp_path)  # type: ignore[arg-type]
+    tissues = ("background", "bone", "gas", "liver", "liver")
+    write_nnunet(OfTissues(tissues, [0, 1, 4, 5]), tmp_path)  # type: ignore[arg-type]
     described = json.loads((tmp_path / "dataset.json").read_text())
     assert described["labels"] == {"background": 0, "background_1": 1, "liver_4": 2, "liver_5": 3}, "names twice"
     assert np.array(Image.open(tmp_path / "labelsTr" / "frame00000.png")).tolist() == [[0, 1], [2, 3]]
+
+
+@given(st.lists(st.sampled_from(["background", "liver", "liver_1", "liver_2", "liver_2_2", "ignore"]), min_size=1))
+@settings(deadline=None, max_examples=30)
+def test_every_class_of_nnunet_has_a_name_of_its_own(tissues: list[str]) -> None:
+    labels = range(1, len(tissues) + 1)
+    with TemporaryDirectory() as folder:
+        write_nnunet(OfTissues(tissues, [0, *labels] * 2), Path(folder))  # type: ignore[arg-type]
+        described = json.loads((Path(folder) / "dataset.json").read_text())["labels"]
+    assert sorted(described.values()) == [0, *labels], "no name is taken twice"
+    assert described["background"] == 0
+    assert "ignore" not in described, "which nnU-Net leaves out of the loss"
+    names = {number: name for name, number in described.items()}
+    for label, tissue in zip(labels, tissues, strict=True):
+        assert names[label].startswith(tissue)
+        assert names[label] == tissue or tissues.count(tissue) > 1 or tissue in ("background", "ignore")
+
+
+NAMES = ("coupling_gel", "肝臓", "Läppchen", "a\\b^c=d", "tab\tname", "  ", "x" * 80, "ä" * 40, "no")
+
+
+def test_names_of_any_script_are_one_value_of_dicom_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = OfTissues(NAMES, [*range(1, len(NAMES) + 1), 1], tmp_path / "肝臓\\left-0123")
+    write_dicom(pairs, tmp_path / "set", (0.3, 0.2))  # type: ignore[arg-type]
+    monkeypatch.setattr(pydicom.config.settings, "reading_validation_mode", pydicom.config.RAISE)
+    image, segmented = (pydicom.dcmread(tmp_path / "set" / place / "frame00000.dcm") for place in (".", "segmentation"))
+    for held in (image, segmented):
+        assert held.SpecificCharacterSet == "ISO_IR 192"
+        assert str(held)  # every value is converted, and checked
+        assert held.PatientID == "肝臓/left-0123"
+        assert held["PatientOrientation"].VM == 0
+    labels = [segment.SegmentLabel for segment in segmented.SegmentSequence]
+    assert labels == ["coupling_gel", "肝臓", "Läppchen", "a/b^c=d", "tab name", "label 6", "x" * 64, "ä" * 32, "no"]
+    coded = [segment.SegmentedPropertyTypeCodeSequence[0] for segment in segmented.SegmentSequence]
+    assert [code.CodeMeaning for code in coded] == labels
+    assert len({code.CodeValue for code in coded}) == len(NAMES)
+    if dciodvfy := shutil.which("dciodvfy"):  # of dicom3tools, where somebody has it
+        for path in (tmp_path / "set").rglob("*.dcm"):
+            said = subprocess.run([dciodvfy, path], capture_output=True, check=False).stderr.decode(errors="replace")
+            assert "Error" not in said
 
 
 def test_a_map_that_was_begun_and_tissues_of_ones_own_are_left_out(arguments: list[str], tmp_path: Path) -> None:
@@ -175,6 +229,25 @@ def test_dicom_is_valid_and_calibrated(
     ):
         labels[layer > 0] = of.SegmentIdentificationSequence[0].ReferencedSegmentNumber
     assert np.array_equal(labels, pairs.stored("segmentation", len(pairs) - 1))
+
+
+def test_pairs_made_elsewhere_have_the_mm_of_their_fan(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, pairs = exported(arguments, "png", capsys)
+    own = Path(shutil.copytree(folder, tmp_path / "own"))
+    where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={tmp_path}", "preset=tiny", "task=export"]
+    assert run(*where, "dataset.format=dicom", "probe.radius_mm=11", "probe.depth_mm=77") == 0
+    out = Path(capsys.readouterr().out.strip().splitlines()[-1])
+    held = pydicom.dcmread(out / "frame00000.dcm")
+    height_mm, width_mm = pixel_size_mm(pairs.probe or ConvexProbe(), pairs.shape)
+    region = held.SequenceOfUltrasoundRegions[0]
+    assert (10 * region.PhysicalDeltaY, 10 * region.PhysicalDeltaX) == pytest.approx((height_mm, width_mm))
+    assert "imulated" not in f"{held}", "nothing is known of who made it"
+    assert f"A pixel is {height_mm:.4g} mm high and {width_mm:.4g} mm wide" in (out / "README.md").read_text()
+    (own / "fan.yaml").unlink()
+    with pytest.raises(ConfigurationError, match=r"dataset\.format=dicom: needs .*own/fan\.yaml, which tells the mm"):
+        run(*where, "dataset.format=dicom")
 
 
 def test_what_cannot_be_exported_is_one_line(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

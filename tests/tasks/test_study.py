@@ -79,7 +79,7 @@ def test_simulate_makes_again_what_is_damaged_and_only_that(finished: Path, caps
     whole = damaged.read_bytes()
     damaged.write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
     kept = damaged.parents[5] / "pixels.json"
-    of_frames = {path: path.read_text() for path in (kept, *kept.parent.glob("resimulation/*.json"))}
+    of_frames = {path: path.read_text() for path in (kept, *kept.parent.glob("baselines/*.json"))}
     assert len(of_frames) > 2
     assert run(*SWEEP, f"runs_dir={finished}", "task=simulate") == 0
     assert not any(path.exists() for path in of_frames), "a digest and scores of frames that were made again"

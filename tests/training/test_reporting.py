@@ -1,5 +1,6 @@
 """Metrics against images seen, validation, and failures that are noticed."""
 
+import io
 import logging
 import math
 import re
@@ -149,3 +150,35 @@ def test_a_dying_noise_path_is_said_at_the_end(
     lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert len(lines) == warnings
     assert all("noise is 0.0" in line and "model.noise_start" in line for line in lines)
+
+
+def test_a_terminal_has_one_line_that_is_redrawn_with_the_time_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setenv("TQDM_MININTERVAL", "0")
+    train(SPEC, replace(SETTINGS, steps=6, log_every=1), loader, tmp_path, title="sa2h/seed3")
+    first, *redrawn, last = terminal.getvalue().split("\r")[1:]
+    assert terminal.getvalue().count("\n") == 1, "of its end"
+    assert all(line.startswith("sa2h/seed3: ") for line in (first, *redrawn, last))
+    assert re.search(r" 50% of 6 steps, \d\d:\d\d left", "".join(redrawn))
+    assert "100% of 6 steps, 00:00 left" in last
+
+
+def test_lines_of_a_log_have_the_time_left_but_for_the_last(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def slowly(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for one in loader(start, stop):
+            time.sleep(0.25)
+            yield one
+
+    with caplog.at_level(logging.INFO):
+        train(SPEC, replace(SETTINGS, steps=8, log_every=2), slowly, tmp_path)
+    left = [re.match(r"step \d of 8, 00:0(\d) left: ", line) for line in caplog.messages[:-1]]
+    assert len(left) == 3
+    assert 1 <= int(left[0][1]) <= 4, "six steps of a quarter of a second and more"
+    assert caplog.messages[-1].startswith("step 8 of 8: ")

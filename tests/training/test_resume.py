@@ -221,7 +221,7 @@ def test_a_checkpoint_needs_no_folder_for_temporary_files(tmp_path: Path, monkey
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full: Linux")
 def test_a_full_disk_is_an_error_of_the_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """PyTorch makes a RuntimeError of it where it opens the file itself, which looks like a fault of the program."""
-    monkeypatch.setattr("ablate.training.loop.written_whole", lambda _: nullcontext(Path("/dev/full")))
+    monkeypatch.setattr("ablate.training.checkpoint.written_whole", lambda _: nullcontext(Path("/dev/full")))
     with pytest.raises(OSError, match="No space left on device"):
         train(SPEC, replace(SETTINGS, steps=2), loader, tmp_path)
 
@@ -428,3 +428,26 @@ def test_threads_of_a_training_are_its_own(tmp_path: Path) -> None:
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
+
+
+def test_snapshots_are_the_weights_of_shorter_trainings_also_after_a_stop(tmp_path: Path) -> None:
+    settings = replace(SETTINGS, steps=20, snapshots=4, schedule="constant", checkpoint_every=3)
+    with pytest.raises(OSError, match="disk gone"):
+        train(SPEC, settings, loader_until(19, crash), tmp_path / "stopped")
+    kept = train(SPEC, settings, loader, tmp_path / "stopped").snapshots
+    assert settings.snapshot_steps == (17, 18, 19)
+    for steps, snapshot in zip(settings.snapshot_steps, kept, strict=True):
+        shorter = train(SPEC, replace(settings, steps=steps, snapshots=1), loader, tmp_path / str(steps)).generator
+        assert_same(snapshot.state_dict(), shorter.state_dict())
+
+
+@pytest.mark.parametrize("content", [None, b"torn"])
+def test_a_snapshot_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | None) -> None:
+    settings = replace(SETTINGS, steps=20, snapshots=2)
+    train(SPEC, settings, loader, tmp_path)
+    path = tmp_path / "step-19.pt"
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"step-19\.pt: not the weights of this network"):
+        train(SPEC, settings, loader, tmp_path)

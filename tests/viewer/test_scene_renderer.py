@@ -134,7 +134,8 @@ def test_a_probe_in_the_air_is_rendered_without_a_warning() -> None:
 
 def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know() -> None:
     offered = pickable(Path("nowhere"))
-    assert list(offered) == [f"comes with ablate: {name}" for name in ("sa2h", "full", "sa2h-512")]
+    shipped = [f"comes with ablate: {name}" for name in ("sa2h", "full", "sa2h-512")]
+    assert list(offered) == [*shipped, "comes with ablate: the formula"]
     assert len(NAMES) == 3
     picked = {"here": offered["comes with ablate: sa2h"]}
     views = SceneRenderer(BODY, STATE.pose[None]).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
@@ -234,3 +235,16 @@ def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image() -
     del fast, render
     gc.collect()
     assert not folder.exists()
+
+
+def test_the_formula_renders_the_frame_that_a_data_set_would_have_of_it() -> None:
+    """Speckle, fan and controls are those of the simulated frame; no training is needed."""
+    state = replace(STATE, runs=(pickable(Path("nowhere"))["comes with ablate: the formula"],))
+    views = SceneRenderer(BODY, STATE.pose[None]).render(state, Quality.full)
+    (image,) = views.generated
+    assert image is not None
+    assert "generated 0" not in views.notes
+    assert (image[~views.mask] == 0).all()
+    assert np.corrcoef(image[views.mask], views.target[views.mask])[0, 1] > 0.5
+    bright = SceneRenderer(BODY, STATE.pose[None]).render(replace(state, display=Display(gain_db=6.0)), Quality.full)
+    assert bright.generated[0][views.mask].mean() > image[views.mask].mean() + 10

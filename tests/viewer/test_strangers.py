@@ -216,7 +216,7 @@ def test_a_folder_of_anything_is_looked_through(tmp_path: Path) -> None:
         (folder / "last.ckpt").write_bytes(b"")
     offered = pickable(runs)
     assert [run_ for name, run_ in offered.items() if "comes with" not in name] == [run.folder.resolve()]
-    assert len(offered) == 1 + len(NAMES)
+    assert len(offered) == 1 + len(NAMES) + 1
 
 
 @pytest.mark.parametrize("key", ["data", "label"])
@@ -225,7 +225,7 @@ def test_names_that_lead_elsewhere_make_a_run_unusable(tmp_path: Path, key: str,
     run = innocent_run(tmp_path / "runs")
     write_json(run.folder / "training.json", read_json(run.folder / "training.json") | {key: name})
     assert Training(run.folder).state is State.unusable
-    assert len(pickable(tmp_path / "runs")) == len(NAMES)
+    assert len(pickable(tmp_path / "runs")) == len(NAMES) + 1
 
 
 def test_names_are_words_on_the_page_and_never_markup() -> None:

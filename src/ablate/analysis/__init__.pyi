@@ -12,9 +12,15 @@ from .figures.runtime_figure import error_vs_runtime as error_vs_runtime
 from .figures.seed_figure import seed_plot as seed_plot
 from .figures.study_figure import DrawnFigure as DrawnFigure
 from .figures.study_figure import Section as Section
+from .leaderboard import best_first as best_first
+from .leaderboard import best_in_words as best_in_words
+from .leaderboard import ranked_by as ranked_by
+from .leaderboard import to_text as to_text
 from .pictures import FramePictures as FramePictures
 from .report import write_report as write_report
 from .results import StudyResults as StudyResults
+from .scale import scale_table as scale_table
+from .scored import BASELINES as BASELINES
 from .scored import REFERENCE as REFERENCE
 from .scored import RESIMULATION as RESIMULATION
 from .scored import ordered_metrics as ordered_metrics
@@ -42,6 +48,5 @@ from .summaries import partly_scored as partly_scored
 from .summaries import wide_table as wide_table
 from .tables import to_latex as to_latex
 from .tables import to_markdown as to_markdown
-from .tables import to_text as to_text
 from .templates import caption as caption
 from .templates import listed as listed

@@ -5,14 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
+from ablate.analysis.scored import (
+    BASELINE_NAMES,
+    REFERENCE,
+    RESIMULATION,
+    every_frame,
+    is_network,
+    ordered_metrics,
+    ordered_variants,
+)
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.templates import filled
-from ablate.metrics import METRICS, metric_of
+from ablate.metrics import METRICS, Shown, metric_of, shown_in
+from ablate.metrics.metric import FORMULA
 
 FEW_SITES = 10  # below, intervals over sites are rough
 #: The positive control: if the best network has more than so many times re-simulation's error, none renders.
 CONTROL, MOST_TIMES = "mae_smooth", 1.7
+#: And if the texture of the best one is off by more, none draws speckle.
+TEXTURE_CONTROL, MOST_DB = "octave_sd", 1.0
 _FRAMES_NAMED = 3  # of a run with a gap
 
 
@@ -31,7 +42,7 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
 
     `blocks` has the same of runs on other anatomies or data sets, which verdicts use too, with a column data in both.
     """
-    networks = per_image[per_image["variant"] != RESIMULATION]
+    networks = per_image[is_network(per_image["variant"])]
     variants = ordered_variants(list(networks["variant"]), reference)
     seeds = networks.groupby("variant")["seed"].nunique()
     of_all_data = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
@@ -44,6 +55,10 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
         resimulated=RESIMULATION in set(per_image["variant"]),
         control=_times_of_resimulation(per_image),
         most_times=MOST_TIMES,
+        texture=_least(per_image, TEXTURE_CONTROL),
+        most_db=MOST_DB,
+        texture_label=metric_of(TEXTURE_CONTROL).label,
+        below=_below_the_formula(per_image, reference),
         label=metric_of(CONTROL).label,
         sites=networks["site"].nunique(),
         few_sites=FEW_SITES,
@@ -57,12 +72,34 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
 def _times_of_resimulation(per_image: pd.DataFrame) -> float:
     """How many times the error of re-simulation the best network has; NaN where it is not known."""
     errors = per_image[per_image["metric"] == CONTROL].groupby("variant")["value"].mean().replace(0.0, np.nan)
-    return errors.drop(RESIMULATION, errors="ignore").min() / errors.get(RESIMULATION, np.nan)
+    return errors.drop([*BASELINE_NAMES], errors="ignore").min() / errors.get(RESIMULATION, np.nan)
+
+
+def _least(per_image: pd.DataFrame, metric: str) -> float:
+    """The smallest mean of a metric that a network has; NaN where none has one."""
+    values = per_image[(per_image["metric"] == metric) & is_network(per_image["variant"])]
+    return float(values.groupby("variant")["value"].mean().min())
+
+
+def _below_the_formula(per_image: pd.DataFrame, reference: str) -> list[str]:
+    """Labels of the metrics of the headline in which the reference is worse than the formula."""
+    finite = per_image[np.isfinite(per_image["value"])]
+    means = finite.groupby(["variant", "metric"])["value"].mean()
+    if not {reference, FORMULA} <= set(means.index.get_level_values("variant")):
+        return []
+    both = [name for name in shown_in(Shown.headline) if name in means[reference] and name in means[FORMULA]]
+    judges = {name: metric_of(name) for name in both}
+    worse = [
+        name
+        for name, judge in judges.items()
+        if judge.badness(means[reference, name]) > judge.badness(means[FORMULA, name])
+    ]
+    return [judges[name].label for name in worse]
 
 
 def _short_runs(per_image: pd.DataFrame) -> list[str]:
     """The runs that have fewer test frames than another one of their data set, and how many."""
-    networks = per_image[per_image["variant"] != RESIMULATION]
+    networks = per_image[is_network(per_image["variant"])]
     frames = networks.groupby(["data", "variant", "seed"])["frame"].nunique().reset_index()
     frames["most"] = frames.groupby("data")["frame"].transform("max")
     short = frames[frames["frame"] < frames["most"]].to_dict("records")

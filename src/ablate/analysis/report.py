@@ -1,7 +1,7 @@
 """The report of a study: one self-contained page of tables, statistics and figures."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -9,11 +9,12 @@ import pandas as pd
 from ablate.analysis.caution_texts import cautions
 from ablate.analysis.figures.study_figure import DrawnFigure, Section
 from ablate.analysis.results import StudyResults
-from ablate.analysis.scored import RESIMULATION
+from ablate.analysis.scale import scale_table
+from ablate.analysis.scored import RESIMULATION, is_network
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.tables import cell_texts, resimulation_note
 from ablate.analysis.templates import filled
-from ablate.metrics import Shown, shown_in
+from ablate.metrics import Shown, metric_of, shown_in
 from ablate.storage import write_text
 
 
@@ -63,6 +64,7 @@ def write_report(
         metrics=metrics,
         unfolded=unfolded,
         cells=cells,
+        scale=_scale_rows(results, unfolded),
         resimulation_note=resimulation_note(unfolded) if RESIMULATION in variants else "",
         reference=results.reference,
         paired=results.paired.to_dict("records"),
@@ -81,6 +83,18 @@ def write_report(
     return path
 
 
+def _scale_rows(results: StudyResults, metrics: Sequence[str]) -> list[dict[Hashable, object]]:
+    """Where each network stands between the formula and re-simulation, a row a metric."""
+    scale = scale_table(results.table).round(2)
+    shown = scale[[name for name in scale if name in metrics]]
+    return (
+        shown.rename(columns=lambda name: metric_of(name).label)
+        .T.rename_axis("metric")
+        .reset_index()
+        .to_dict("records")
+    )
+
+
 def _inlined(figures: Sequence[DrawnFigure], section: Section) -> list[tuple[str, str]]:
     """The figures of a section, each as base64 and its caption."""
     return [
@@ -92,7 +106,7 @@ def _inlined(figures: Sequence[DrawnFigure], section: Section) -> list[tuple[str
 
 def _compared(per_image: pd.DataFrame) -> str:
     """One sentence on what the numbers are over."""
-    networks = per_image[per_image["variant"] != RESIMULATION]
+    networks = per_image[is_network(per_image["variant"])]
     seeds = networks.groupby("variant")["seed"].nunique()
     counts = ""
     if len(seeds):

@@ -6,22 +6,30 @@ import numpy as np
 import pandas as pd
 
 from ablate.metrics import METRICS, Group, metric_of
-from ablate.metrics.metric import SCALAR_COLUMNS
+from ablate.metrics.metric import FORMULA, RESIMULATED, SCALAR_COLUMNS
 
 REFERENCE = "sa2h"
-RESIMULATION = "re-simulation"  # shown among the variants
-CHANGED = 3
+RESIMULATION = "re-simulation"  # shown among the variants, as FORMULA is
+#: Renderers without weights by the source of their scores, as they are called among the variants; they do not compete.
+BASELINES = {RESIMULATED: RESIMULATION, FORMULA: FORMULA}
+BASELINE_NAMES = tuple(BASELINES.values())
+CHANGED = 4
 LEVEL = 0.95  # coverage of the intervals of all tables
 
 
 def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> list[str]:
-    """Re-simulation, reference, the other variants by name, then `sa2h.depth-8` and the like; each once."""
+    """Re-simulation, formula, reference, the other variants by name, then `sa2h.depth-8` and the like; each once."""
     return sorted(set(variants), key=lambda name: (variant_group(name, reference), name.replace(".", " ")))
 
 
 def variant_group(name: str, reference: str = REFERENCE) -> int:
-    """Block of rows of a variant: 0 re-simulation, 1 reference, 2 variants, `CHANGED` what was changed beside one."""
-    return {RESIMULATION: 0, reference: 1}.get(name, CHANGED if "." in name else 2)
+    """Block of rows: 0 re-simulation, 1 formula, 2 reference, 3 variants, `CHANGED` what was changed beside one."""
+    return {RESIMULATION: 0, FORMULA: 1, reference: 2}.get(name, CHANGED if "." in name else 3)
+
+
+def is_network(names: pd.Series) -> pd.Series:
+    """Which of some variants are networks, and no baseline."""
+    return ~names.isin(BASELINE_NAMES)
 
 
 def ordered_metrics(metrics: Sequence[str]) -> list[str]:
@@ -61,14 +69,14 @@ def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) 
     columns = [*SCALAR_COLUMNS, *data]
     finite = per_image[np.isfinite(per_image["value"])]
     run = finite["variant"] + " " + finite["seed"].astype(str)
-    resimulated = finite["variant"] == RESIMULATION
-    compared = [resimulated, *(finite[name] for name in ("metric", *data))]
+    trained = is_network(finite["variant"])
+    compared = [trained, *(finite[name] for name in ("metric", *data))]
     runs_with_frame = run.groupby([*compared, finite["frame"]]).transform("nunique")
     runs_with_metric = run.groupby(compared).transform("nunique")
-    networks = finite[(runs_with_frame == runs_with_metric) & ~resimulated]
+    networks = finite[(runs_with_frame == runs_with_metric) & trained]
     frame = ["metric", *data, "frame"]
-    floor = finite[resimulated].merge(networks[frame].drop_duplicates(), on=frame)
-    shared = pd.concat([networks, floor], ignore_index=True)[columns]
+    baselines = finite[~trained].merge(networks[frame].drop_duplicates(), on=frame)
+    shared = pd.concat([networks, baselines], ignore_index=True)[columns]
     if scalars is None:
         return shared
     return pd.concat([shared, scalars.loc[np.isfinite(scalars["value"]), columns]])

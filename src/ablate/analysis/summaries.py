@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
+from ablate.analysis.scored import REFERENCE, every_frame, is_network, ordered_metrics, ordered_variants
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import BOUNDS, FRAME_TIME, SCALAR_COLUMNS
 
@@ -25,7 +25,7 @@ def comparison_table(
         Columns variant, seed, metric, value and perhaps lower, upper: one row a metric of a run, as fd_speckle or
         parameters.
     reference : str
-        Variant shown first after the re-simulation.
+        Variant shown first after the baselines.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def comparison_table(
         the paper has it; over seeds for scalars; half of upper minus lower for times), seed_sd (of the seeds' means;
         None with one seed, and for times), seeds, n, dropped (frames without a finite value), lower, upper (where runs
         carry an interval of their own: the mean of its bounds), best (of the networks, by the mean; where 0 is best, by
-        the mean size of the seeds' means; the re-simulation does not compete; all times that the fastest one's spread
+        the mean size of the seeds' means; baselines do not compete; all times that the fastest one's spread
         reaches are best).
     """
     values = every_frame(per_image)[[*SCALAR_COLUMNS]]
@@ -86,7 +86,7 @@ def _sd(values: pd.Series) -> float | None:
 def _best_networks(table: pd.DataFrame, badness: pd.Series) -> pd.Series:
     """Which rows are best in their metric; none where a network is alone. Of times, all that its spread reaches."""
     best = pd.Series(False, index=table.index)
-    for metric, rows in table[table["variant"] != RESIMULATION].groupby("metric"):
+    for metric, rows in table[is_network(table["variant"])].groupby("metric"):
         scores = badness[rows.index]
         if len(rows) < 2 or scores.isna().all():
             continue

@@ -1,4 +1,4 @@
-"""The comparison table in print: for a console, in Markdown, and as the paper's Table II."""
+"""The comparison table in print: in Markdown, and as the paper's Table II."""
 
 import re
 from collections.abc import Hashable, Mapping
@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, variant_group
+from ablate.analysis.scored import BASELINE_NAMES, REFERENCE, RESIMULATION, is_network, variant_group
 from ablate.metrics import Direction, Resimulation, metric_of
 
 NOTHING = "–"  # where a variant has no value
@@ -95,24 +95,6 @@ def _labels_where(resimulation: Resimulation, metrics: list[str]) -> str:
     return ", ".join(metric_of(name).label for name in metrics if metric_of(name).resimulation is resimulation)
 
 
-def to_text(table: pd.DataFrame) -> str:
-    """A `comparison_table` for a console: aligned lines, never truncated, and a note on the re-simulation.
-
-    The best network of a column carries a star.
-    """
-    variants, metrics, cells = cell_texts(table)
-    columns = {head(metric): [_plain(cells[variant, metric]) for variant in variants] for metric in metrics}
-    lines = pd.DataFrame(columns, variants).rename_axis(columns="variant").to_string().splitlines()
-    note = ["", resimulation_note(metrics)] if RESIMULATION in variants else []
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], *note]) + "\n"
-
-
-def _plain(cell: Cell) -> str:
-    spread = f" ± {cell.sd}" if cell.sd else ""
-    star = "*" if cell.best else " "
-    return f"{cell.mean}{spread}{star}"
-
-
 def to_markdown(table: pd.DataFrame) -> str:
     """A `comparison_table` as a pipe table, with the number of seeds; the best network of a column is in bold."""
     variants, metrics, cells = cell_texts(table)
@@ -122,7 +104,7 @@ def to_markdown(table: pd.DataFrame) -> str:
         ["---", "---:", *("---:" for _ in metrics)],
     ]
     for variant in variants:
-        trained = NOTHING if variant == RESIMULATION else str(seeds[variant])
+        trained = NOTHING if variant in BASELINE_NAMES else str(seeds[variant])
         lines.append([variant, trained, *(_emphasised(cells[variant, metric]) for metric in metrics)])
     rows = [" | ".join(text.replace("|", r"\|") for text in line) for line in lines]
     return "".join(f"| {row} |\n" for row in rows)
@@ -186,7 +168,7 @@ def _bold_or_plain(cell: Cell) -> str:
 
 
 def _caption(table: pd.DataFrame, metrics: list[str]) -> str:
-    networks = table[table["variant"] != RESIMULATION]
+    networks = table[is_network(table["variant"])]
     frames = int(((table["n"] + table["dropped"]) / table["seeds"]).max())  # 1 of metrics with a value a run
     text = f"Mean and standard deviation over {frames} test frames" if frames > 1 else "Mean"
     note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,6 +58,8 @@ class Scene:
     body : (4, 4) float64
         Rigid transform from the body's axes, which its scatterers and textures are fixed to, to the world's, mm. It is
         the identity unless the scene is one that was `moved`.
+    guessed : str
+        What was guessed of its tissues, for whoever sees its first picture; empty where nothing was.
 
     Examples
     --------
@@ -74,6 +76,7 @@ class Scene:
     background: Tissue
     name: str
     body: np.ndarray = field(default_factory=partial(np.eye, 4), compare=False, repr=False)
+    guessed: str = field(default="", compare=False, repr=False)
     looked_at: bool = field(default=False, init=False, compare=False, repr=False)  # whether `warn_of_overlaps` did
 
     def __post_init__(self) -> None:
@@ -90,7 +93,7 @@ class Scene:
             mesh = structure.mesh.copy()
             mesh.apply_transform(motion)
             structures.append(Structure(mesh, structure.tissue))
-        return Scene(tuple(structures), self.background, self.name, np.asarray(motion, np.float64) @ self.body)
+        return replace(self, structures=tuple(structures), body=np.asarray(motion, np.float64) @ self.body)
 
     @cached_property
     def tissues(self) -> tuple[Tissue, ...]:

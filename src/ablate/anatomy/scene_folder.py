@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ablate.anatomy import scene_values as values
+from ablate.anatomy.meshes.gltf_document import buffer_files, gltf_document
+from ablate.anatomy.meshes.mesh_file import MESH_SUFFIXES
 from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
 from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.site_grid import SiteGrid
@@ -17,7 +18,6 @@ from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
 from ablate.setting import naming, shown
 
-MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "labels", "structures", "tissues", "sites")
 SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
@@ -74,10 +74,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     background = tissues[values.one_of(content.get("background", "coupling_gel"), tissues, f"{path}: background")]
     labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
     in_space = {"RAS": "labels are"} if labels else {}
-    for mesh, _ in meshes:
-        with mesh.open("rb") as stream:
-            head = stream.read(512)
-        in_space |= {space: f"{mesh.name} is" for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head}
+    in_space |= {space: f"{mesh.name} is" for mesh, _ in meshes if (space := mesh_space(mesh))}
     if len(in_space) > 1:  # as 3D Slicer marks meshes
         raise ValueError(f"{path}: {in_space['LPS']} in LPS, but {in_space['RAS']} in RAS; export all as RAS")
     of_labels = labels.structures if labels else ()
@@ -117,7 +114,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
         from ablate.anatomy.volumes.labelled_structures import labelled_structures
 
         structures = (*labelled_structures(checked.labels, f"{path}: labels", cache_dir), *structures)
-        scene = Scene(structures, checked.background, checked.name)
+        scene = Scene(structures, checked.background, checked.name, guessed=checked.labels.guessed)
     warn_of_overlaps(scene)
     return scene
 
@@ -136,19 +133,23 @@ def load_sites(folder: str | Path) -> SiteGrid:
     return sites
 
 
+def mesh_space(path: Path) -> str:
+    """The space that 3D Slicer wrote a mesh in, LPS or RAS, where it says so at the beginning of the file."""
+    with path.open("rb") as stream:
+        head = stream.read(512)
+    return next((space for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head), "")
+
+
 def mesh_files(path: Path) -> tuple[Path, ...]:
-    """The files that a mesh is read from: its own and, for .gltf, those of the buffers that it names.
+    """The files that a mesh is read from: its own and, for glTF, those of the buffers that it names.
 
     Materials and textures are not read. A FileNotFoundError or ValueError when a glTF is not readable, or a buffer is
     no file.
     """
-    if path.suffix.lower() != ".gltf":
+    if path.suffix.lower() not in (".gltf", ".glb"):
         return (path,)
-    try:
-        uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes()).get("buffers", [])]
-        buffers = [path.parent / uri for uri in uris if not uri.startswith("data:")]
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
-        raise ValueError(f"{path}: not readable as glTF ({type(error).__name__})") from error
+    with naming(f"{path}: not readable as glTF: ", (ValueError, AttributeError, TypeError, RecursionError)):
+        buffers = [file for file in buffer_files(gltf_document(path)) if file is not None]
     for buffer in buffers:
         if not buffer.is_file():
             raise FileNotFoundError(f"{path}: buffer {shown(buffer.name)} is no file in the folder of the mesh")

@@ -1,9 +1,7 @@
 """A scene.yaml proposed for a folder of meshes or volumes that has none: tissues from names, the rest from sizes."""
 
-import csv
 import json
 import re
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,15 +12,13 @@ from jinja2 import Template
 from ablate.anatomy.meshes.check import BODY_MM
 from ablate.anatomy.meshes.repair import load_mesh
 from ablate.anatomy.scene import bounds_mm
-from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM
-from ablate.anatomy.tissue import TissueKind, load_tissues
-from ablate.anatomy.volumes.label_map import SUFFIXES
+from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM, mesh_files, mesh_space
+from ablate.anatomy.scene_values import file_named
+from ablate.anatomy.tissue_names import place_of_tissue, tissue_of_name
 from ablate.anatomy.volumes.labels_proposal import proposed_labels
+from ablate.anatomy.volumes.volume_file import SUFFIXES
 
-_UNKNOWN = "soft_tissue"
-_MISLEADING = {"skin", "lung"}  # a closed skin is the whole body, and the lung of the table is a fetus's
-#: What is filled with something hard or empty cuts into what is soft, so it comes later.
-_ORDER = (TissueKind.soft, TissueKind.fluid, TissueKind.gas, TissueKind.bone)
+_MASKS = "segmentations"  # the folder of TotalSegmentator's masks, beside their image
 
 
 def proposed_scene(folder: Path) -> str:
@@ -33,61 +29,85 @@ def proposed_scene(folder: Path) -> str:
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
-    volumes = sorted(path for path in folder.iterdir() if path.name.lower().endswith(SUFFIXES))
-    if not paths and not volumes:
+    meshes, volumes = _candidates(folder)
+    if not meshes and not volumes:
         allowed = ", ".join((*MESH_SUFFIXES, *SUFFIXES))
         raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml, no mesh and no volume; {allowed}")
-    meshes: dict[str, trimesh.Trimesh] = {}
-    unusable: dict[str, str] = {}
-    try:
-        labels = proposed_labels(volumes, tissue_of_name) if volumes else None
-    except ValueError as error:
-        labels, unusable["volumes"] = None, str(error).removeprefix("scene.folder: ")
-    for path in paths:
-        try:
-            meshes[path.name] = load_mesh(path)
-        except ValueError as error:
-            unusable[path.name] = str(error)
-    if not meshes and not labels:
-        raise ValueError(f"scene.folder: {next(iter(unusable.values()))}")
-    bounds = bounds_mm(meshes.values()) if meshes else np.zeros((2, 3))
+    left_out: dict[str, str] = {}
+    labels = proposed_labels(volumes, folder, left_out) if volumes else None
+    loaded = _meshes(meshes, folder, "RAS" if labels else "", left_out)
+    unit = _unit(loaded, bool(labels), left_out)
+    lines = [_one_line(name, reason, folder) for name, reason in left_out.items()]
+    if not loaded and not labels:
+        more = f" (and {len(lines) - 3} more files)" if len(lines) > 3 else ""
+        raise ValueError(f"scene.folder: {folder}: nothing in it can be used: {'; '.join(lines[:3])}{more}")
+    bounds = bounds_mm(loaded.values())
     extent = float(np.ptp(bounds, axis=0).max())
-    # the largest unit that makes the scene no larger than a body, preferring mm; beside labels, theirs
-    fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
-    unit = fits[0] if fits and not labels else "mm"
-    tissues, table = {name: tissue_of_name(Path(name).stem) for name in meshes}, load_tissues()
-    order = sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents)))
+    tissues = {name: tissue_of_name(Path(name).stem) for name in loaded}
+    order = sorted(loaded, key=lambda n: (place_of_tissue(tissues[n][0]), -np.prod(loaded[n].extents)))
     structures = [(_quoted(name), *tissues[name]) for name in order]
     lower, upper = np.array(labels["z_mm"]) / UNITS_MM[unit] if labels else bounds[:, 2]
     heights = {"lower": lower + 0.2 * (upper - lower), "upper": upper - 0.2 * (upper - lower)}
-    about = {"unit": unit, "extent": extent, "extent_mm": extent * UNITS_MM[unit], "unusable": unusable.values()}
+    about = {"unit": unit, "extent": extent, "extent_mm": extent * UNITS_MM[unit], "unusable": lines}
     template = Template(files("ablate.anatomy").joinpath("scene.yaml.jinja").read_text("utf-8"))
     return template.render(structures=structures, labels=labels, quoted=_quoted, **about, **heights)
+
+
+def _candidates(folder: Path) -> tuple[list[str], list[str]]:
+    """The names of what may be meshes and volumes, by their endings."""
+    names = sorted(path.name for path in folder.iterdir())
+    meshes = [name for name in names if Path(name).suffix.lower() in MESH_SUFFIXES]
+    if (folder / _MASKS).is_dir():
+        names += sorted(f"{_MASKS}/{path.name}" for path in (folder / _MASKS).iterdir())
+    return meshes, [name for name in names if name.lower().endswith(SUFFIXES)]
+
+
+def _meshes(names: list[str], folder: Path, space: str, left_out: dict[str, str]) -> dict[str, trimesh.Trimesh]:
+    """The meshes that can be used, by name; all in one space where 3D Slicer wrote theirs, that of labels if any."""
+    meshes, spaces = dict[str, trimesh.Trimesh](), dict[str, str]()
+    for name in names:
+        try:
+            path = file_named(name, MESH_SUFFIXES, folder, "scene.folder")
+            mesh_files(path)
+            meshes[name], spaces[name] = load_mesh(path), mesh_space(path)
+        except (ValueError, OSError) as error:
+            left_out[name] = str(error)
+    known = [one for one in spaces.values() if one]
+    space = space or max(("RAS", "LPS"), key=known.count)
+    for name, own in spaces.items():
+        if own not in ("", space):
+            left_out[name] = f"it is in {own}, but others are in {space}; export all as RAS"
+    return {name: mesh for name, mesh in meshes.items() if name not in left_out}
+
+
+def _unit(meshes: dict[str, trimesh.Trimesh], beside_labels: bool, left_out: dict[str, str]) -> str:
+    """The unit of meshes: the largest that makes them no larger than a body, preferring mm; beside labels, theirs.
+
+    Where none makes them a body, the largest mesh goes, out of `meshes` and into `left_out`.
+    """
+    while meshes:
+        extent = float(np.ptp(bounds_mm(meshes.values()), axis=0).max())
+        bodies = {unit: extent * factor for unit, factor in UNITS_MM.items() if extent * factor <= BODY_MM[1]}
+        for least in (10 * BODY_MM[0], BODY_MM[0]):
+            fits = [unit for unit, size in bodies.items() if size >= least]
+            if beside_labels and bodies.get("mm", 0) >= BODY_MM[0]:
+                return "mm"
+            if fits:
+                return fits[0]
+        largest = max(meshes, key=lambda name: float(meshes[name].extents.max()))
+        sizes = f"bodies have {BODY_MM[0]:g} to {BODY_MM[1]:g} mm"
+        left_out[largest] = f"in none of {', '.join(UNITS_MM)} is its scene, of {extent:.3g}, a body; {sizes}"
+        del meshes[largest]
+    return "mm"
+
+
+def _one_line(name: str, reason: str, folder: Path) -> str:
+    """What stands behind `left out`: the file, and why, as YAML lets it stand in a comment."""
+    reason = reason.removeprefix("scene.folder: ").replace(f"{folder / name}", name)
+    text = reason if reason.startswith(name) else f"{name}: {reason}"
+    return "".join(letter if letter.isprintable() else "?" for letter in " ".join(text.split()))
 
 
 def _quoted(name: str) -> str:
     """A file's name as YAML reads it."""
     return name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)
-
-
-def tissue_of_name(name: str) -> tuple[str, str]:
-    """The tissue that the name of a structure points to, and why."""
-    stem = re.sub(r"[^a-z]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
-    known = load_tissues().keys() - _MISLEADING
-    if stem in known:
-        return stem, "its name is that of a tissue"
-    # beginnings of words, the first that fits decides
-    for pattern, tissue in _names():
-        if match := re.search(rf"(?:^|_)(?:{pattern})", stem):
-            return tissue, f"its name has {match.group().strip('_')}"
-    if longest := max((tissue for tissue in known if tissue in stem), key=len, default=None):
-        return longest, f"its name has {longest}"
-    return _UNKNOWN, "its name says nothing"
-
-
-@cache
-def _names() -> list[tuple[str, str]]:
-    """Beginnings of words in the names of files, as a regular expression, and the tissue that each points to."""
-    with files("ablate.anatomy").joinpath("names.csv").open(encoding="utf-8") as stream:
-        return [(row["beginnings"], row["tissue"]) for row in csv.DictReader(stream)]

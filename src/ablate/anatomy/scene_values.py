@@ -11,6 +11,7 @@ import sys
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from unicodedata import normalize
 
 import yaml
 
@@ -26,12 +27,12 @@ def read_yaml(path: Path) -> Any:
 
 
 def csv_rows(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
-    """Places, for messages, and rows of a CSV file with a header line, values without blanks around them."""
+    """Places, for messages, and rows of a CSV file with a header line; values without blanks around them, in NFC."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.DictReader(stream, skipinitialspace=True)
             columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
-            stripped = ({k: (v or "").strip() for k, v in row.items() if k} for row in reader)
+            stripped = ({k: normalize("NFC", v or "").strip() for k, v in row.items() if k} for row in reader)
             rows = [(f"{path}, line {reader.line_num}", row) for row in stripped]
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not readable as CSV in UTF-8 ({error})") from error

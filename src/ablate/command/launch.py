@@ -25,6 +25,7 @@ from ablate.settings.study import ConfigurationError
 from ablate.study.job import Job
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
+_LINE = "TQDM_POSITION"  # which tqdm reads: jobs side by side each redraw a line of their own
 _GRACE_S = 3.0  # after Ctrl-C, which reaches every process of a terminal
 # What libraries of numerics read when they are loaded.
 _THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMBA", "NUMEXPR")
@@ -86,26 +87,27 @@ def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> 
     if devices and launcher.n_jobs < 0:
         n_jobs = min(n_jobs, len(devices))
     coming = list(jobs)
-    running: dict[int, tuple[SpawnProcess, str, str | None]] = {}
+    running: dict[int, tuple[SpawnProcess, str, str | None, int]] = {}
     try:
         while coming or running:
             while coming and len(running) < n_jobs:
                 numbered = coming.pop(0)
-                busy = [taken for _, _, taken in running.values()]
+                busy = [taken for _, _, taken, _ in running.values()]
                 device = min(devices, key=busy.count, default=None)  # the one that fewest have
                 arguments = launcher.hydra_context, launcher.config, numbered, work, Singleton.get_state()
                 content = cloudpickle.dumps((run_in_process, arguments))
-                process = _started(content, n_jobs, device)
-                running[process.sentinel] = process, numbered[0].name, device
+                line = min(set(range(n_jobs)) - {taken for *_, taken in running.values()})
+                process = _started(content, n_jobs, device, line)
+                running[process.sentinel] = process, numbered[0].name, device, line
             for sentinel in wait(list(running)):
-                process, name, _ = running.pop(int(sentinel))  # type: ignore[arg-type]
+                process, name, *_ = running.pop(int(sentinel))  # type: ignore[arg-type]
                 process.join()
                 if (code := process.exitcode or 0) < 0:
                     by = signal.Signals(-code).name
                     often = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
                     print(f"{name}: its process was ended by {by}{often if by == 'SIGKILL' else ''}", file=sys.stderr)
     except KeyboardInterrupt:
-        wait_for_all([process for process, _, _ in running.values()])
+        wait_for_all([process for process, *_ in running.values()])
         raise
 
 
@@ -136,12 +138,12 @@ def run_in_process(
     run_job(lambda _: told(work, job), own, "hydra.sweep.dir", "hydra.sweep.subdir", context)
 
 
-def _started(content: bytes, n_jobs: int, device: str | None) -> SpawnProcess:
-    """A process that runs a pickled call, with its share of the threads and its GPU."""
+def _started(content: bytes, n_jobs: int, device: str | None, line: int) -> SpawnProcess:
+    """A process that runs a pickled call, with its share of the threads, its GPU, and its line of a terminal."""
     process = multiprocessing.get_context("spawn").Process(target=work_for_parent, args=(content,))
     threads = {f"{library}_NUM_THREADS": str(max(1, allotted_cores() // n_jobs)) for library in _THREADS}
     own = {name: count for name, count in threads.items() if name not in os.environ}
-    own |= {} if device is None else {VISIBLE: device}
+    own |= {_LINE: str(line)} | ({} if device is None else {VISIBLE: device})
     before = os.environ.copy()
     os.environ.update(own)
     try:

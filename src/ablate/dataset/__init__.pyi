@@ -24,6 +24,7 @@ from .pairs_folder import open_pairs as open_pairs
 from .png_folder import PngFolder as PngFolder
 from .png_folder import content_digest as content_digest
 from .png_folder import import_pairs as import_pairs
+from .png_folder import picture_digests as picture_digests
 from .png_folder import read_fan as read_fan
 from .png_folder import validate_png_folder as validate_png_folder
 from .processes import end_with_parent as end_with_parent

@@ -28,23 +28,29 @@ _EMPTY = (
     "ReferringPhysicianName",
     "Laterality",
 )
+_UTF_8 = "ISO_IR 192"
 _FRAME_TIME = 0x00181063  # the tag of what tells frames of a cine apart
 
 
-def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
-    """A file a frame, and in `segmentation` its labels as DICOM SEG.
+def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = False) -> None:
+    """A file a frame, and in `segmentation` its labels as DICOM SEG; of `imported` ones it is not said who made them.
 
     UIDs are numbers from the name of the data set, which has its hash, the frame and its pixels: they stay the same.
     """
     (folder / "segmentation").mkdir(parents=True, exist_ok=True)
-    segments = [_segment(number, name) for number, name in enumerate(pairs.tissues, start=1)]
+    segments = [_segment(number, name, imported) for number, name in enumerate(pairs.tissues, start=1)]
     for frame in range(len(pairs)):
         name = f"frame{frame:05d}.dcm"
         shown = pairs.stored("target", frame)
         image = _ultrasound(pairs.folder.name, frame, shown, pairs.mask(), pixel_mm)
+        if imported:
+            image.PatientName, image.DerivationDescription = (
+                "Unknown^Patient",
+                "Imported by ablate from an image made elsewhere",
+            )
         image.SOPInstanceUID = _uid(pairs.folder.name, hashlib.sha256(shown.tobytes()).hexdigest(), str(frame))
         pydicom.dcmwrite(folder / name, image, enforce_file_format=True)
-        Segmentation(
+        segmentation = Segmentation(
             source_images=[image],
             pixel_array=pairs.stored("segmentation", frame),
             segmentation_type=SegmentationTypeValues.BINARY,
@@ -57,7 +63,10 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
             manufacturer="ablate",
             manufacturer_model_name="ablate",
             device_serial_number="none",
-        ).save_as(folder / "segmentation" / name)
+        )
+        segmentation.SpecificCharacterSet = _UTF_8
+        segmentation.PatientOrientation = []  # as of the image: not known
+        segmentation.save_as(folder / "segmentation" / name)
 
 
 def write_cine(path: Path, frames: np.ndarray, mask: np.ndarray, pixel_mm: Size, frame_ms: float) -> None:
@@ -92,17 +101,18 @@ def _ultrasound(known_by: str, number: int, pixels: np.ndarray, mask: np.ndarray
     data = Dataset()
     data.file_meta = FileMetaDataset()
     data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.SpecificCharacterSet = _UTF_8
     data.SOPClassUID = UltrasoundImageStorage
     data.SOPInstanceUID = _uid(known_by, str(number))
     data.StudyInstanceUID = _uid(known_by, "study")
     data.SeriesInstanceUID = _uid(known_by, "series")
     data.PatientName = "Simulated^Phantom"
-    data.PatientID = known_by[:64]
+    data.PatientID = _text(known_by)
     for name in _EMPTY:
         setattr(data, name, "")
     data.Modality = "US"
     data.Manufacturer = "ablate"
-    data.SeriesDescription = known_by[:64]
+    data.SeriesDescription = _text(known_by)
     data.SoftwareVersions = _VERSION
     data.SeriesNumber = 1
     data.InstanceNumber = number + 1
@@ -134,17 +144,27 @@ def _region(mask: np.ndarray, pixel_mm: Size) -> Dataset:
     return region
 
 
-def _segment(number: int, tissue: str) -> SegmentDescription:
-    """A tissue as a segment, with a code of our own: its name, or a digest of a longer one."""
-    code = tissue if len(tissue) <= 16 else hashlib.sha256(tissue.encode()).hexdigest()[:16]  # DICOM's limit
+def _segment(number: int, tissue: str, imported: bool) -> SegmentDescription:
+    """A tissue as a segment, with a code of our own: its name, or a digest of one that is long or not ASCII."""
+    name = _text(tissue) or f"label {number}"
+    plain = name == tissue and name.isascii() and len(name) <= 16  # DICOM's limit
+    code = name if plain else hashlib.sha256(tissue.encode()).hexdigest()[:16]
+    kinds, step = SegmentAlgorithmTypeValues, codes.DCM.ImageProcessing
+    made_by = ("unknown", step, "imported") if imported else ("ablate", step, _VERSION)
     return SegmentDescription(
         segment_number=number,
-        segment_label=tissue[:64],
+        segment_label=name,
         segmented_property_category=codes.SCT.AnatomicalStructure,
-        segmented_property_type=CodedConcept(code, "99ABLATE", tissue[:64]),
-        algorithm_type=SegmentAlgorithmTypeValues.AUTOMATIC,
-        algorithm_identification=AlgorithmIdentificationSequence("ablate", codes.DCM.ImageProcessing, _VERSION),
+        segmented_property_type=CodedConcept(code, "99ABLATE", name),
+        algorithm_type=kinds.SEMIAUTOMATIC if imported else kinds.AUTOMATIC,
+        algorithm_identification=AlgorithmIdentificationSequence(*made_by),
     )
+
+
+def _text(value: str) -> str:
+    """A text as one value of DICOM: of at most 64 bytes, without controls, and without what separates values."""
+    shown = "".join(letter if letter.isprintable() else " " for letter in value.replace("\\", "/"))
+    return " ".join(shown.split()).encode()[:64].decode(errors="ignore").rstrip()
 
 
 def _uid(*known_by: str) -> str:

@@ -93,7 +93,7 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
     names = ("background", *pairs.tissues)
     about = {
         "channel_names": {"0": "ultrasound"},
-        "labels": {_class_name(names, label): number for number, label in enumerate(labels)},
+        "labels": {name: number for number, name in enumerate(_class_names(names, labels))},
         "file_ending": ".png",
         "numTraining": int((pairs.split != Part.test).sum()),
     }
@@ -102,9 +102,16 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
     write_text(folder / "splits_final.json", json.dumps([fold], indent=2))
 
 
-def _class_name(names: Sequence[str], label: int) -> str:
-    """The name of a label, with its number where others have the same one."""
-    return f"{names[label]}_{label}" if label and names.count(names[label]) > 1 else names[label]
+def _class_names(names: Sequence[str], labels: Sequence[int]) -> list[str]:
+    """The name of each label, with its number where another is called so, or where nnU-Net means something by it."""
+    called = []
+    for label in labels:
+        name = names[label]
+        if label and (names.count(name) > 1 or name == "ignore"):
+            while name in names or name in called:
+                name = f"{name}_{label}"
+        called.append(name)
+    return called
 
 
 def _name(frame: int) -> str:

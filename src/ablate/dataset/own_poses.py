@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from ablate.anatomy.scene_values import csv_rows
+from ablate.dataset.split import Part
 from ablate.setting import naming, shown
-from ablate.ultrasound.probe import check_pose
+from ablate.ultrasound import Probe
+from ablate.ultrasound.probe import check_pose, fan_of
 
+NEAR_MM = 2.0  # about the thickness of the slice that a probe images
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
@@ -64,3 +67,37 @@ def _of_csv(path: Path) -> tuple[np.ndarray, np.ndarray]:
         poses[i, :3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         poses[i, :3, 3] = x, y, z
     return poses, sites
+
+
+def near_training(poses: np.ndarray, split: np.ndarray, probe: Probe) -> str:
+    """Which frames of validation and test see nearly what a training frame sees; empty where none does.
+
+    The distance of two frames is that of three points of their fans, the middle of the face and the two ends of the
+    deepest line, as the root of the mean square.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) float64, mm
+        Of the frames.
+    split : (n,) uint8 of `Part`
+        Their parts.
+    probe : Probe
+        Whose fan it is.
+    """
+    from scipy.spatial import cKDTree
+
+    width, depth = fan_of(probe).size_mm[1], probe.depth_mm
+    points = np.array([[0, 0, 0, 1], [-width / 2, 0, depth, 1], [width / 2, 0, depth, 1]]).T
+    places = (poses @ points)[:, :3].reshape(len(poses), -1) / math.sqrt(points.shape[1])
+    training = split == Part.train
+    if not training.any():
+        return ""
+    distances = cKDTree(places[training]).query(places)[0]
+    found = []
+    for part in (Part.validation, Part.test):
+        near = distances[(split == part)] < NEAR_MM
+        if near.any():
+            found.append(f"{int(near.sum())} of {len(near)} {part.name} frames")
+    nearest = distances[~training].min() if found else 0.0
+    where = " and ".join(found)
+    return where and f"{where} are within {NEAR_MM:g} mm of a training frame (the nearest {nearest:.2g} mm)"

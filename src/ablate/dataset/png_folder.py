@@ -5,14 +5,17 @@ tissue) names what the labels stand for, `frames.csv` (name, site and, if wanted
 together and which part they are in, `fan.yaml` is the geometry of the fan, as a probe has it.
 """
 
+import hashlib
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
+from PIL import ExifTags, Image
 from skimage.io import imread
 
 from ablate.anatomy import Tissue
@@ -122,8 +125,17 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
 
 
 def _pngs(folder: Path) -> dict[str, Path]:
-    """The PNGs of a folder by the name of their frame."""
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() == ".png"}
+    """The PNGs of a folder by the name of their frame, composed (NFC): macOS decomposes the names of files.
+
+    Two files of one frame, such as `a.png` and `a.PNG`, are a ValueError.
+    """
+    by_frame: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() == ".png":
+            first = by_frame.setdefault(normalize("NFC", path.stem), path)
+            if first != path:
+                raise ValueError(f"{path}: there is {first.name}, too; allowed is one file a frame")
+    return by_frame
 
 
 def _common_shape(files: Mapping[str, Mapping[str, Path]], first_frame: str) -> tuple[int, int]:
@@ -207,12 +219,32 @@ def import_pairs(checked: PngFolder, names: Sequence[str], pairs: Pairs, maps: f
 def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """The grey levels of a PNG, (H, W) uint8, or uint16 of an attenuation map."""
     try:
-        image: np.ndarray = imread(BytesIO(path.read_bytes()))  # closed, whatever is raised
+        content = path.read_bytes()
+        image: np.ndarray = imread(BytesIO(content))  # closed, whatever is raised
+        turned = _orientation(content)
     except Exception as error:  # every chunk of a PNG raises its own
         raise ValueError(f"{path}: cannot be decoded ({' '.join(str(error).split())})") from error
     if image.shape != shape or (image.dtype != np.uint8 and path.parent.name != FOLDERS["attenuation"]):
         raise ValueError(f"{path}: is not plain grey of 8 bits (transparent pixels? written again?)")
+    if turned != 1:
+        upright = "allowed is 1, pixels as they are seen; save it upright, without Exif"
+        raise ValueError(f"{path}: has an Exif orientation of {turned}, so viewers turn it; {upright}")
     return image
+
+
+def _orientation(content: bytes) -> int:
+    """The orientation that the metadata of a PNG ask viewers for, 1 where they ask for none."""
+    if not any(mark in content for mark in (b"eXIf", b"Raw profile type", b"XML:com.adobe.xmp")):
+        return 1
+    with Image.open(BytesIO(content)) as picture:
+        return int(picture.getexif().get(ExifTags.Base.Orientation, 1))
+
+
+def picture_digests(checked: PngFolder, mask: np.ndarray) -> list[bytes]:
+    """A digest of the pixels of each frame's image within the fan, (H, W) bool, however its file is compressed."""
+    files = checked.files["target"]
+    pictures = (_decoded(files[name], checked.shape)[mask] for name in checked.names)
+    return [hashlib.sha256(picture.tobytes()).digest() for picture in pictures]
 
 
 def content_digest(checked: PngFolder) -> str:

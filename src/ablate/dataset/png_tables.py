@@ -1,5 +1,6 @@
 """The tables beside a folder of PNGs: sites and parts of the frames, tissues of the labels, the fan."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from ablate.setting import naming, plain
 from ablate.ultrasound.settings import PROBE_KEYS, Probe, probe_from
 
 MOST_LABELS = 254
+#: What probes have, from those within the body and for the skin to those for a whole abdomen.
+USUAL_MM = {"radius_mm": (8, 120), "width_mm": (10, 120), "aperture_mm": (5, 60), "depth_mm": (20, 400)}
 
 
 def sites_and_parts(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...], np.ndarray | None]:
@@ -20,7 +23,9 @@ def sites_and_parts(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...]
     known = set(names)
     rows: dict[str, dict[str, str]] = {}
     for where, row in csv_rows(path, ("name", "site"), ("part",)):
-        name = row["name"].removesuffix(".png")
+        name = row["name"]
+        if name not in known:  # with the ending of its file, in whatever case
+            name = re.sub(r"\.png$", "", name, flags=re.IGNORECASE)
         if name not in known:
             raise ValueError(f"{where}: there is no frame '{name}'")
         if name in rows:
@@ -72,6 +77,16 @@ def probe_of_fan(path: Path) -> Probe | None:
     if missing:
         raise ValueError(f"{path}: no {missing[0]}; a {probe.kind} fan has {', '.join(fan_values(probe))}")
     return probe
+
+
+def odd_lengths(probe: Probe) -> str:
+    """Lengths in mm that no probe has, as they stand in `fan.yaml`; empty where all are usual."""
+    odd = []
+    for key, (least, most) in USUAL_MM.items():
+        length = getattr(probe, key, least)
+        if not least <= length <= most:
+            odd.append(f"{key}: {length:g} (usual are {least:g} to {most:g})")
+    return " and ".join(odd)
 
 
 def fan_values(probe: Probe) -> dict[str, str | float]:

@@ -39,10 +39,15 @@ class Part(IntEnum):
 
 
 class SplitBy(StrEnum):
-    """`site` keeps all frames of a probe site on one side; `frame` draws frames freely, as the paper did."""
+    """`site` keeps all frames of a probe site on one side; `frame` draws frames freely, as the paper did.
+
+    With `both`, half of the test frames are of probe sites of their own, and the other half and the validation frames
+    are drawn freely from those of all other sites.
+    """
 
     site = "site"
     frame = "frame"
+    both = "both"
 
 
 def equally_spaced(frames: np.ndarray, count: int) -> np.ndarray:
@@ -74,7 +79,7 @@ def split_frames(
     by : SplitBy
         What is drawn, sites or frames.
     validation, test : float
-        Fractions of the sites (or frames), of which each part gets at least one.
+        Fractions of the sites (or frames), of which each part gets at least one; half of `test` each with `both`.
     seed : int
 
     Returns
@@ -86,6 +91,8 @@ def split_frames(
     ValueError
         When nothing is left to train on.
     """
+    if SplitBy(by) is SplitBy.both:
+        return _split_by_both(np.asarray(sites), validation, test, seed)
     member = np.asarray(sites) if SplitBy(by) is SplitBy.site else np.arange(len(sites))
     units = np.unique(member)
     n_validation = max(1, round(validation * len(units)))
@@ -99,4 +106,14 @@ def split_frames(
     part = np.full(len(member), Part.train, np.uint8)
     part[np.isin(member, order[:n_test])] = Part.test
     part[np.isin(member, order[n_test : n_test + n_validation])] = Part.validation
+    return part
+
+
+def _split_by_both(sites: np.ndarray, validation: float, test: float, seed: int) -> np.ndarray:
+    """Split by site for half of the test frames, and then what is left by frame."""
+    by_site = split_frames(sites, SplitBy.site, test / 2, test / 2, seed)
+    part = np.full(len(sites), Part.test, np.uint8)
+    rest = np.flatnonzero(by_site != Part.test)
+    share = len(sites) / len(rest)
+    part[rest] = split_frames(sites[rest], SplitBy.frame, validation * share, test / 2 * share, seed)
     return part

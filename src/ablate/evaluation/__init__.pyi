@@ -1,10 +1,14 @@
-from .run_scores import resimulation_images as resimulation_images
+from .baselines import baselines as baselines
+from .baselines import formula_images as formula_images
+from .baselines import formula_maps as formula_maps
+from .baselines import resimulation_images as resimulation_images
+from .known import describes_fan as describes_fan
+from .known import tissue_labels as tissue_labels
 from .run_scores import score_run as score_run
 from .scorer import ImageSource as ImageSource
 from .scorer import Scorer as Scorer
-from .scorer import describes_fan as describes_fan
-from .scorer import tissue_labels as tissue_labels
 from .scores import Scores as Scores
+from .scores import averaged as averaged
 from .scores import joined as joined
 from .settings import EvaluationSettings as EvaluationSettings
 from .timing import time_in_turns as time_in_turns

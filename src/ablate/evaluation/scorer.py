@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset import Part
+from ablate.evaluation.known import describes_fan, tissue_labels
 from ablate.evaluation.moved import motion_values
 from ablate.evaluation.scores import Scores, not_computed, without_values
 from ablate.evaluation.settings import EvaluationSettings
@@ -23,14 +24,16 @@ from ablate.metrics import (
     InceptionFeatures,
     Metric,
     Pair,
+    Pixels,
     bootstrap_interval,
     choose_metrics,
     evaluate_image,
     speckle_features,
 )
 from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
+from ablate.networks import Space
 from ablate.threads import side_by_side
-from ablate.ultrasound import Probe, fan_mask
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 if TYPE_CHECKING:
@@ -41,7 +44,6 @@ if TYPE_CHECKING:
 ImageSource = Callable[[np.ndarray, int], np.ndarray]
 Features = tuple[np.ndarray, np.ndarray]  # of images and of their targets, a row each
 _BATCH = 8
-_SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 
 
 class _Scored(NamedTuple):
@@ -49,19 +51,6 @@ class _Scored(NamedTuple):
 
     values: list[dict[str, float]]
     features: dict[FeatureKind, Features]
-
-
-def tissue_labels(
-    tissues: tuple[Tissue, ...], kinds: Collection[TissueKind] = (TissueKind.soft, TissueKind.bone)
-) -> np.ndarray:
-    """Labels of some kinds of tissue, uint8; those of soft tissue and bone leave out gas and fluid."""
-    return np.array([label for label, tissue in enumerate(tissues, start=1) if tissue.kind in kinds], np.uint8)
-
-
-def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
-    """Whether a fan is that of a probe, up to a few pixels; only then are the depths of the pixels known."""
-    expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
-    return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +104,7 @@ class Scorer:
         draws_noise: bool,
         frames: np.ndarray | None = None,
         moved_images: ImageSource | None = None,
+        beam_images: ImageSource | None = None,
     ) -> Scores:
         """Score images of the frames of one part, in as many threads as torch is set to use.
 
@@ -130,6 +120,8 @@ class Scorer:
             Numbers of some frames of the part; all without it.
         moved_images : ImageSource, optional
             What renders the frames of `moved`; without it the metrics of motion are left out.
+        beam_images : ImageSource, optional
+            What renders the frames in beam space, (k, rows, scanlines) uint8, where the renderer works there.
 
         Returns
         -------
@@ -143,7 +135,10 @@ class Scorer:
         with tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar:
             for start in range(0, len(frames), _BATCH):
                 batch = frames[start : start + _BATCH]
-                batches.append(self._score_batch(batch, self._drawn(batch, images_of, draws_noise), computed))
+                scored = self._score_batch(batch, self._drawn(batch, images_of, draws_noise), computed)
+                if beam_images is not None:
+                    self._score_on_grid(batch, beam_images(batch, 0), scored.values)
+                batches.append(scored)
                 bar.update(len(batch))
         sites = self.pairs.sites[frames]
         values = [values for batch in batches for values in batch.values]
@@ -203,6 +198,18 @@ class Scorer:
             return values, (np.empty(0), np.empty(0))
         of_image, of_target = (speckle_features(shown[None], self._mask) for shown in (pair.prediction, pair.target))
         return values, (of_image, of_target)
+
+    def _score_on_grid(self, frames: np.ndarray, images: np.ndarray, values: list[dict[str, float]]) -> None:
+        """Replace the values of metrics of the network's grid by those in beam space."""
+        metrics = [metric for metric in self.metrics.values() if metric.pixels is Pixels.network]
+        mask = self.pairs.mask(Space.beam)
+        for frame, image, of_frame in zip(frames, images, values, strict=True):
+            labels = self.pairs.stored("segmentation", int(frame), Space.beam)
+            target = self.pairs.stored("target", int(frame), Space.beam)
+            pair = Pair(image, target, mask, np.isin(labels, tissue_labels(self.tissues)), segmentation=labels)
+            for metric in metrics:
+                of_frame.pop(metric.name, None)
+            of_frame |= evaluate_image(pair, metrics)
 
     def _in_order(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values of a frame in the order of the metrics."""

@@ -11,7 +11,7 @@ import pandas as pd
 from ablate.dataset import Part
 from ablate.metrics import METRICS, FeatureKind, InceptionFeatures, Metric, patches_inside
 from ablate.metrics.features import CENTRE, PATCH
-from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX
+from ablate.metrics.metric import BOUNDS, SCALAR_PREFIXES
 
 #: What stands before the scalars of a part in the scores of a run.
 PREFIXES = {Part.validation: "val/", Part.test: "test/"}
@@ -24,8 +24,8 @@ class Scores:
     Attributes
     ----------
     per_image : DataFrame
-        Columns frame, site, metric, value, and in the scores of a run source (`model`, `resimulation`) and split:
-        infinite PSNR where an image equals its target, NaN or infinite where a user's own metric failed.
+        Columns frame, site, metric, value, and in the scores of a run source (`model`, or that of a baseline) and
+        split: infinite PSNR where an image equals its target, NaN or infinite where a user's own metric failed.
     scalars : dict of str to float
         The mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`, ...);
         `_lower` and `_upper` are the ends of a 95 % interval. Those of a run have names such as `test/psnr`,
@@ -55,7 +55,7 @@ class Scores:
         scalars = {
             f"{part}{mark}{name}{bound}"
             for part in ("", *PREFIXES.values())
-            for mark in ("", FLOOR_PREFIX)
+            for mark in SCALAR_PREFIXES.values()
             for bound in ("", *(f"_{side}" for side in BOUNDS))
         }
         return Scores(
@@ -76,6 +76,23 @@ def joined(scores: Sequence[Scores]) -> Scores:
         missing |= each.missing
         about_output |= dict.fromkeys(each.about_output)
     return Scores(_frame_by_frame([each.per_image for each in scores]), scalars, missing, tuple(about_output))
+
+
+def averaged(scores: Sequence[Scores]) -> Scores:
+    """Means of several scorings of the same frames, such as of the weights of several steps of a training.
+
+    A value that one of them lacks is the mean of the others. Reasons and sentences are those of the last.
+    """
+    if len(scores) == 1:
+        return scores[0]
+    last = scores[-1]
+    tables = pd.concat([each.per_image for each in scores], ignore_index=True)
+    keys = [column for column in tables if column != "value"]
+    means = tables.groupby(keys, sort=False, dropna=False)["value"].mean()
+    per_image = means.reset_index().reindex(columns=last.per_image.columns)
+    names = dict.fromkeys(name for each in scores for name in each.scalars)
+    scalars = {name: float(np.mean([each.scalars[name] for each in scores if name in each.scalars])) for name in names}
+    return Scores(per_image, scalars, last.missing, last.about_output)
 
 
 def _frame_by_frame(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:

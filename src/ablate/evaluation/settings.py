@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from ablate.setting import Checked, setting
 
+#: In the folder of a data set: scores that need no network.
+BASELINES_FOLDER = "baselines"
+
 
 @dataclass(frozen=True)
 class EvaluationSettings(Checked):

@@ -15,6 +15,7 @@ from .metric import ImageMetric as ImageMetric
 from .metric import Metric as Metric
 from .metric import MovedPair as MovedPair
 from .metric import Pair as Pair
+from .metric import Pixels as Pixels
 from .metric import Resimulation as Resimulation
 from .metric import SetDistance as SetDistance
 from .metric import Shown as Shown

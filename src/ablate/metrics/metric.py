@@ -14,11 +14,13 @@ from ablate.metrics.patches import check_pair, patch_chi2
 
 # Names in stored scores, once for all rooms that write or read them.
 SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
-MODEL, RESIMULATED = "model", "resimulation"  # of images: the trained generator, or simulated again
+MODEL, RESIMULATED, FORMULA = "model", "resimulation", "formula"  # sources of images: a trained generator, and none
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
 FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles
-FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
+# What stands before the scalars of a source, as in `test/floor_psnr`.
+SCALAR_PREFIXES = {MODEL: "", RESIMULATED: "floor_", FORMULA: "formula_"}
+BASELINE_PREFIXES = (SCALAR_PREFIXES[RESIMULATED], SCALAR_PREFIXES[FORMULA])
 # Kinds of NumPy's types that an array of a pair may have, and how a message calls them.
 _NUMBERS = "fiu"
 _KINDS = {"mask": "b", "tissue_mask": "b", "bone_mask": "b", "draws": "u", "segmentation": "iu"}
@@ -32,6 +34,16 @@ class Direction(Enum):
     lower = "lower"
     zero = "zero"
     none = "none"  # the metric describes, it does not judge
+
+
+class Pixels(StrEnum):
+    """Which frames a metric is of: the images, or the frames on the network's own grid, mostly that of beam space.
+
+    Scan conversion hides a pattern of beam space.
+    """
+
+    image = "image"
+    network = "network"
 
 
 class Resimulation(StrEnum):
@@ -211,6 +223,8 @@ class Metric:
         Where it is shown beside `table.csv`, the statistics and its own figure.
     of_image : callable, optional
         Takes a `Pair` and gives a value, or None where the image offers nothing to measure.
+    pixels : Pixels
+        What the pair of `of_image` shows.
     of_set : SetDistance, optional
         A distance between all rendered images and all targets.
     of_draws : callable, optional
@@ -232,6 +246,7 @@ class Metric:
     decimals: int = 3
     shown: Shown = Shown.nowhere
     of_image: ImageMetric | None = None
+    pixels: Pixels = Pixels.image
     of_set: SetDistance | None = None
     of_draws: ImageMetric | None = None
     of_motion: MotionMetric | None = None
@@ -264,34 +279,3 @@ class Metric:
 def is_bound(name: str) -> bool:
     """Whether a scalar is an end of the interval of another."""
     return any(name.endswith(f"_{side}") for side in BOUNDS)
-
-
-# Metrics that no pair of images gives.
-ENVELOPE_RMS = Metric(
-    name="envelope_rms",
-    label="Envelope error",
-    unit="relative RMS",
-    better=Direction.lower,
-    resimulation=Resimulation.level,
-    group=Group.simulation,
-    decimals=4,
-    place=120,
-)
-TIME = Metric(
-    name=FRAME_TIME,
-    label="Time",
-    unit="ms/frame",
-    better=Direction.lower,
-    group=Group.cost,
-    decimals=1,
-    shown=Shown.screen | Shown.report,
-    place=130,
-)
-PARAMETERS = Metric(
-    name="parameters",
-    label="Parameters",
-    group=Group.cost,
-    decimals=0,
-    shown=Shown.table | Shown.report,
-    place=140,
-)

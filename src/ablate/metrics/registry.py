@@ -9,13 +9,13 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 from ablate import metrics as package
-from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, Pair, Shown, is_bound
+from ablate.metrics.metric import BASELINE_PREFIXES, FeatureKind, Metric, Pair, Shown, is_bound
 from ablate.setting import check_name
 from ablate.user_code import code_digest, load
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
 #: made anew.
-METRICS_VERSION = 2
+METRICS_VERSION = 3
 
 
 def _declared() -> dict[str, Metric]:
@@ -123,7 +123,7 @@ def _imported(path: str) -> Metric:
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
     check_name(f"metrics={path}: name", metric.name)
     taken = metric.name in METRICS or metric.name in _COLUMNS
-    if taken or metric.name.startswith(FLOOR_PREFIX) or is_bound(metric.name):
+    if taken or metric.name.startswith(BASELINE_PREFIXES) or is_bound(metric.name):
         other = "another metric, of an end of an interval, or of a column of runs.csv"
         raise ValueError(f"metrics={path}: {metric.name} is the name of {other}")
     _OWN[metric.name] = metric  # in place of an earlier one of that name

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.fft import rfft2
 from scipy.ndimage import convolve1d
 
-from ablate.metrics.metric import Direction, Group, Metric, Pair, Resimulation, Shown
+from ablate.metrics.metric import Direction, Group, Metric, Pair, Pixels, Resimulation, Shown
 from ablate.metrics.patches import as_patches, patches_inside
 
 OCTAVES = 4
@@ -109,7 +109,8 @@ def nyquist_excess(pair: Pair) -> float | None:
     max(on - around, 0) / around in the target). The value is |e - e of the target|. So a smooth prediction, whose own
     surround is faint, is not punished for being smooth.
 
-    It is at least 0, which is right, and None when no block of 32 px lies wholly inside the fan.
+    In a study the pixels are those of the network's own grid, because scan conversion hides a pattern of beam space. It
+    is at least 0, which is right, and None when no block of 32 px lies wholly inside the fan.
     """
     blocks = patches_inside(pair.mask, BLOCK)
     if not blocks.any():
@@ -131,6 +132,7 @@ NYQUIST_EXCESS = Metric(
     decimals=2,
     shown=Shown.drawn,
     of_image=nyquist_excess,
+    pixels=Pixels.network,
     place=80,
 )
 

@@ -168,8 +168,9 @@ class LocalNetwork(nn.Module):
 class UNetwork(nn.Module):
     """`depth` convolutions 4x4 of stride 2, as many transposed ones, and skip connections between them.
 
-    With depth 8 this is the U-Net-256 of pix2pix, with the same order of convolution, instance norm and activation and
-    a bias in every convolution. It has no dropout, because the paper mentions none and a rendering must be repeatable.
+    With depth 8 this is the U-Net-256 of pix2pix, with a bias in every convolution, and with instance norm after each
+    activation, as the paper says of all its networks; pix2pix has it before. It has no dropout, because the paper
+    mentions none and a rendering must be repeatable.
     """
 
     def __init__(self, spec: GeneratorSpec, labels: int = 1) -> None:
@@ -192,14 +193,15 @@ class UNetwork(nn.Module):
 
         H and W are multiples of 2^depth.
         """
-        skips = [self.down[0](stacked)]
-        for layer in self.down[1:-1]:
-            skips.append(instance_norm(layer(F.leaky_relu(skips[-1], LEAK))))
-        features = self.down[-1](F.leaky_relu(skips[-1], LEAK))
-        features = instance_norm(self.up[0](F.relu(features)))
-        for layer in self.up[1:-1]:
-            features = instance_norm(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
-        return torch.tanh(self.up[-1](F.relu(torch.cat((skips.pop(), features), dim=1))))
+        skips = []
+        features = stacked
+        for layer in self.down:
+            features = instance_norm(F.leaky_relu(layer(features), LEAK))
+            skips.append(features)
+        features = skips.pop()
+        for layer in self.up[:-1]:
+            features = torch.cat((skips.pop(), instance_norm(F.relu(layer(features)))), dim=1)
+        return torch.tanh(self.up[-1](features))
 
 
 class PatchDiscriminator(nn.Module):

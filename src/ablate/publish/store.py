@@ -30,12 +30,11 @@ _KIND = "kind"  # a tag: job, study, or the name of a task
 _REPLACED = "replaced"  # the kind of a run in whose place is another one
 MOST_FOUND = 50_000  # MLflow takes no larger number
 _MOST_VALUES = 500  # of a batch; MLflow takes 1,000
-# Tags of the experiment.
-_ABOUT = {
-    "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
-    "mlflow.note.content": "A run of the first level is a study: its description has the comparison and links to the "
-    "report and to its variants side by side. Below it (unfold with +) is a run for each variant and seed.",
-}
+ABOUT = (
+    "A run of the first level is a study: its description says which network is best, and links to its leaderboard, "
+    "its variants side by side and its report. Below it (unfold with +) is a run for each variant and seed."
+)
+_KIND_OF_EXPERIMENT = {"mlflow.experimentKind": "custom_model_development"}  # pages of runs and models, not of prompts
 _REFUSED = {
     "UNAUTHENTICATED": "the server takes another user or password than MLFLOW_TRACKING_USERNAME and "
     "MLFLOW_TRACKING_PASSWORD hold",
@@ -197,7 +196,7 @@ def _experiment(client: MlflowClient, name: str, location: str | None = None) ->
     experiment: Experiment | None = client.get_experiment_by_name(name)
     if experiment is None:
         try:
-            return str(client.create_experiment(name, location, _ABOUT))
+            return str(client.create_experiment(name, location, _KIND_OF_EXPERIMENT | {"mlflow.note.content": ABOUT}))
         except MlflowException as error:  # somebody else has just made it
             experiment = client.get_experiment_by_name(name)
             if error.error_code != "RESOURCE_ALREADY_EXISTS" or experiment is None:

@@ -1,9 +1,7 @@
 """MLflow's run of a study: its comparison, and the runs of its trainings below it."""
 
-import json
-import re
 from collections.abc import Mapping, Sequence
-from urllib.parse import quote
+from pathlib import Path
 
 import pandas as pd
 from filelock import FileLock
@@ -12,9 +10,11 @@ from mlflow.entities import Metric, Run
 from ablate import analysis
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
-from ablate.publish.store import MOST_FOUND, Store, open_store, plain_files, reason, store_uri
+from ablate.publish.results_view import NOTE
+from ablate.publish.shared_views import share_charts, share_leaderboard, share_studies
+from ablate.publish.store import ABOUT, MOST_FOUND, Store, default_uri, open_store, plain_files, reason, store_uri
 from ablate.publish.task_view import publish_tasks
-from ablate.publish.training_view import NOTE, PARENT, PUBLISHED, publish_training
+from ablate.publish.training_view import PARENT, PUBLISHED, publish_training
 from ablate.publish.waiting import in_time, tried
 from ablate.settings.study import StudySettings
 from ablate.storage import digest, digest_of_files
@@ -24,6 +24,7 @@ from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON
 
 _STUDY = "study"  # the kind of its run
+_VIEW = 2  # changes when comparisons that were published before are to be published again
 _LOCK_S = 60.0
 _WAIT_S = 120.0  # a server that answers slowly or not at all is not waited for longer
 _MARK_S = 20.0
@@ -59,12 +60,20 @@ def publish_study(settings: StudySettings, study: Study, notes: Sequence[str]) -
     for.
     """
     uri = store_uri(settings)
-    where = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
+    where = f"{_how_to_look(uri)}, and open {settings.study}"
     try:
         in_time(_WAIT_S, lambda: _publish(open_store(settings), settings, study, notes))
     except Exception as error:  # whatever it is, the comparison is on disk
         return f"{where}\nNote: not all is in MLflow yet ({reason(error)}); the same command publishes the rest."
     return where
+
+
+def _how_to_look(uri: str) -> str:
+    """The address of a server, or the command that starts one for a database."""
+    if uri.startswith("http"):
+        return uri
+    has_make = Path("Makefile").exists() and uri == default_uri(Path("runs").resolve())
+    return "make ui" if has_make else f"mlflow ui --workers 1 --backend-store-uri {uri}"
 
 
 def _publish(store: Store, settings: StudySettings, study: Study, notes: Sequence[str]) -> None:
@@ -81,7 +90,7 @@ def _publish_comparison(
     """Make the run of a study equal to its folder of comparison; `ids` are the runs of its trainings by name."""
     client = store.client
     files = plain_files((study.folder / COMPARISON).iterdir())
-    state = digest([digest_of_files(files), sorted(ids.values()), list(notes)])
+    state = digest([_VIEW, digest_of_files(files), sorted(ids.values()), list(notes)])
     with FileLock(study.folder / ".publish.lock", timeout=_LOCK_S):
         run = client.get_run(study_run(store, settings))
         if run.data.tags.get(PUBLISHED) != state:
@@ -126,26 +135,31 @@ def _publish_times(store: Store, study: Study, ids: Mapping[str, str]) -> None:
 
 
 def _describe(store: Store, run: Run, study: Study, ids: Mapping[str, str], notes: Sequence[str]) -> None:
-    """The description of a study's run (links, its table, what a reader must know) and the means of the table."""
+    """The description of a study's run: who is best, links, its table, what a reader must know; and the best scores."""
     first: dict[str, str] = {}
     for finished in sorted(study.usable.runs, key=lambda r: r.seed):
         first.setdefault(finished.label, ids[finished.name])
-    table = study.table[study.table["metric"].isin(shown_in(Shown.headline))]
-    rows = analysis.to_markdown(table).splitlines()  # MLflow's pages show no space between the columns of a table
+    table, client = study.table, store.client
+    order = analysis.best_first(table)
+    report = f"#/experiments/{store.experiment_id}/runs/{run.info.run_id}/artifacts/report.html"
+    links = {
+        "Leaderboard": share_leaderboard(store, study),
+        "Side by side": share_charts(store, study, [first[name] for name in order if name in first]),
+        "Report": report,
+    }
+    best = f"**Best**: {analysis.best_in_words(table, study.results.claims, study.reference)}."
+    shown = table[table["metric"].isin(shown_in(Shown.headline))].sort_values(
+        "variant", key=lambda names: names.map(order.index), kind="stable"
+    )
+    rows = analysis.to_markdown(shown).splitlines()  # MLflow's pages show no space between the columns of a table
     spaced = [row if set(row) <= set("|-: ") else row.replace(" |", "\u00a0\u00a0|") for row in rows]
-    report, compared = _pages(store, run.info.run_id, list(first.values()))
-    links = f"[The report]({report}) · [the variants side by side]({compared})"
-    store.client.set_tag(run.info.run_id, NOTE, "\n\n".join([links, "\n".join(spaced), *notes]))
-    means = table[["metric", "variant", "mean"]].dropna().itertuples(index=False)
+    linked = " · ".join(f"[{name}]({link})" for name, link in links.items())
+    client.set_tag(run.info.run_id, NOTE, "\n\n".join([best, linked, "\n".join(spaced), *notes]))
+    client.set_tag(run.info.run_id, "best", order[0])
+    scores = shown[(shown["variant"] == order[0]) & shown["mean"].notna()]
     logged = [
-        Metric(re.sub(r"[^\w/. -]", "_", f"test/{metric}/{variant}"), float(mean), run.info.start_time, 0)
-        for metric, variant, mean in means
+        Metric(f"test/{row['metric']}", float(row["mean"]), run.info.start_time, 0) for row in scores.to_dict("records")
     ]
     store.log_metrics(run.info.run_id, logged)
-
-
-def _pages(store: Store, run_id: str, run_ids: Sequence[str]) -> tuple[str, str]:
-    """Links, relative to MLflow's address, to the report of a study's run, and to the comparison of some runs."""
-    runs, experiments = (quote(json.dumps(list(ids))) for ids in (run_ids, [store.experiment_id]))
-    report = f"#/experiments/{store.experiment_id}/runs/{run_id}/artifacts/report.html"
-    return report, f"#/compare-runs?runs={runs}&experiments={experiments}"
+    about = f"[All studies]({share_studies(store)}), each with its best network. {ABOUT}"
+    client.set_experiment_tag(store.experiment_id, NOTE, about)

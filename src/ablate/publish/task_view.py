@@ -11,8 +11,9 @@ from typing import Any
 from filelock import FileLock
 from mlflow.entities import Metric
 
+from ablate.publish.results_view import NOTE
 from ablate.publish.store import Store, open_store, plain_files, reason
-from ablate.publish.training_view import NOTE, PUBLISHED
+from ablate.publish.training_view import PUBLISHED
 from ablate.publish.waiting import in_time
 from ablate.settings.study import StudySettings, Task
 from ablate.storage import digest, read_json, write_json

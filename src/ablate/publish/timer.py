@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from ablate.publish.store import open_store
 from ablate.publish.study_view import study_run
 from ablate.publish.training_view import publish_training
-from ablate.publish.waiting import say, tried
+from ablate.publish.waiting import in_time, say, tried
 from ablate.study.job import Job
 
 _EVERY_S = 5.0
@@ -37,6 +37,11 @@ def following(job: Job) -> Iterator[None]:
         thread.join(_LAST_S)
         if thread.is_alive():
             say(TimeoutError(f"no end after {_LAST_S:g} s"))
+
+
+def published_end(job: Job) -> None:
+    """Publish how a training has ended whose process could not: one that was killed."""
+    tried(lambda: in_time(_LAST_S, lambda: _publish(job, goes_on=False)))
 
 
 def _publish(job: Job, goes_on: bool) -> None:

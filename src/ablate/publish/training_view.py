@@ -1,40 +1,37 @@
 """MLflow's run of a training: parameters, curves, images, scores and artifacts, from its folder."""
 
 import json
-import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from filelock import FileLock
 from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, Run, RunTag
 from PIL import Image
 
 from ablate.dataset.pairs import FORMATS
-from ablate.metrics.metric import FLOOR_PREFIX, is_bound
 from ablate.networks.spec import GeneratorSpec
+from ablate.publish.results_view import NOTE, publish_results
 from ablate.publish.store import Store, plain_files
 from ablate.setting import flat
 from ablate.settings.conf import build, components, components_of_networks, named_components
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
-from ablate.storage import digest, written_whole
+from ablate.storage import digest
 from ablate.study.log import Log, LoggedImage, Status, read_log
 from ablate.study.provenance import ABOUT_CODE
-from ablate.study.scores import read_score
 from ablate.study.training import Training
 
 PARENT = "mlflow.parentRunId"
-NOTE = "mlflow.note.content"
-_JOB = "job"  # the kind of its run
-PUBLISHED = "published"  # a tag: the digest of what was on disk when all of it had been published
-_BEGAN = "begun"  # a tag: when the training began
-_POINTS = "points"  # a tag: how many of them have been published of a training that goes on
+JOB = "job"  # the kind of its run
+_VIEW = 2  # changes when runs that were published before are to be published again
+# Tags that MLflow's pages do not show, as their names begin with its own.
+PUBLISHED = "mlflow.ablate.published"  # the digest of what was on disk when all of it had been published
+_BEGAN = "mlflow.ablate.begun"  # when the training began
+_POINTS = "mlflow.ablate.points"  # how many of them have been published of a training that goes on
 #: Settings that people sort and compare by, beside components.
 _SORTED_BY = (
     "model.target",
@@ -89,10 +86,10 @@ def publish_training(
     """
     with FileLock(training.folder / ".publish.lock", timeout=_LOCK_S):
         training = Training(training.folder)
-        state = digest([training.published_state(), sorted(scores)])
+        state = digest([_VIEW, training.published_state(), sorted(scores)])
         log = read_log(training.folder)
         client = store.client
-        run = store.find(_JOB, {"config_hash": training.hash, "study": training.folder.parent.name})
+        run = store.find(JOB, {"config_hash": training.hash, "study": training.folder.parent.name})
         if run is not None and run.data.tags.get(PARENT) != parent:  # the study's run was deleted
             client.set_tag(run.info.run_id, PARENT, parent)
         if run is not None and run.data.tags.get(PUBLISHED) == state:
@@ -105,10 +102,16 @@ def publish_training(
         run_id = str(run.info.run_id)
         if run.info.status != Status.running:
             client.update_run(run_id, status=str(Status.running))
+        ended_ms, status = log.states[-1] if log.states else (None, Status.killed)
+        if training.is_trained and not goes_on:  # before curves, as MLflow's pages keep the order
+            publish_results(store, run_id, training, scores, ended_ms or 0)
+            status = Status.finished
+        elif status is Status.running:  # the process itself was killed
+            status = Status.killed
         _publish_curves(client, run, log)
         _publish_images(client, run_id, log.images)
         if not goes_on:
-            _publish_end(store, run_id, training, log, scores)
+            client.set_terminated(run_id, str(status), ended_ms)
             client.set_tag(run_id, PUBLISHED, state)
         return run_id
 
@@ -134,9 +137,9 @@ def _begin(store: Store, parent: str, training: Training, log: Log) -> Run:
         "seed": str(training.seed),
         "data_hash": data_hash,
         PARENT: parent,
-        NOTE: _described(training, study),
+        NOTE: "Not ended: there are no scores yet.",
     }
-    run = store.create(training.name, _JOB, known_by | about | code, log.began_ms)
+    run = store.create(training.name, JOB, known_by | about | code, log.began_ms)
     run_id, client = run.info.run_id, store.client
     named = named_components(build(GeneratorSpec, training.about["settings"]["model"], stored=True))
     has_scene = source_of(settings).has_scene
@@ -154,18 +157,6 @@ def _word(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return str(value)
-
-
-def _described(training: Training, study: str) -> str:
-    """What the run's page says of it."""
-    return (
-        f"`{training.label}`, seed {training.seed}, of the study `{study}`. **Model metrics**: `test/` was measured "
-        "at the end; `test/floor_` is what the same frames score, simulated with other scatterers and ray paths. "
-        "`newest/` are validation frames as rendered last, above their target, and `frames/` as training went on; "
-        "`train/` and `val/` are curves; the step of all these is the number of images seen. **Artifacts**: every "
-        "metric of every frame in `per_image.parquet`; configuration, code and environment in `provenance`. **Tags**: "
-        "`config_hash` is a digest of the settings that decide the weights; `git_dirty`: not all code was committed."
-    )
 
 
 def _sorted_by(training: Training, has_scene: bool) -> dict[str, Any]:
@@ -218,38 +209,3 @@ def _publish_images(client: MlflowClient, run_id: str, images: Sequence[LoggedIm
         if f"{image.key.replace('/', '~')}+step+{image.step}" not in published:
             with Image.open(image.path) as opened:
                 client.log_image(run_id, np.asarray(opened), key=image.key, step=image.step)
-
-
-def _publish_end(store: Store, run_id: str, training: Training, log: Log, scores: Sequence[str]) -> None:
-    """The scores of a training, the newest images, and how it has ended."""
-    ended_ms, status = log.states[-1] if log.states else (None, Status.killed)
-    if training.is_trained:
-        status = Status.finished
-        _publish_scores(store, run_id, training, scores, ended_ms or 0)
-        newest = {image.key: image for image in log.images}.values()
-        again = [replace(image, key=f"newest/{Path(image.key).name}") for image in newest]
-        _publish_images(store.client, run_id, again)  # of a series MLflow shows the first
-    elif status is Status.running:  # the process itself was killed
-        status = Status.killed
-    store.client.set_terminated(run_id, str(status), ended_ms)
-
-
-def _publish_scores(store: Store, run_id: str, training: Training, scores: Sequence[str], time_ms: int) -> None:
-    """Every score over all frames as a metric, and the values of all frames as one table."""
-    read = [read_score(training.scores / name) for name in scores]
-    scalars = dict(training.result["scalars"])
-    for score in read:
-        scalars |= score.scalars
-    store.log_metrics(run_id, [Metric(key, value, time_ms, 0) for key, value in scalars.items() if _is_shown(key)])
-    values = [score.values for score in read if len(score.values)]
-    if values:
-        with tempfile.TemporaryDirectory() as folder:
-            table = Path(folder) / "per_image.parquet"
-            with written_whole(table) as partial:
-                pd.concat(values, ignore_index=True).to_parquet(partial)
-            store.log_files(run_id, [table])
-
-
-def _is_shown(scalar: str) -> bool:
-    """Whether MLflow shows a scalar: no bound of an interval, and no re-simulation on validation frames."""
-    return not scalar.startswith(f"val/{FLOOR_PREFIX}") and not is_bound(scalar)

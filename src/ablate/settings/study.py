@@ -95,7 +95,9 @@ class DatasetSettings(Checked):
         "Counts of heights, angles, tilts and rolls of the probe sites; null takes the scene's own.",
         least=1,
     )
-    split: SplitBy = setting(SplitBy.site, "What is kept on one side: probe sites, or (as the paper did) frames.")
+    split: SplitBy = setting(
+        SplitBy.site, "What is kept on one side: probe sites, or (as the paper did) frames; `both` tests both ways."
+    )
     validation: float = setting(0.05, "Share of the sites or frames that validate.", above=0, below=1)
     test: float = setting(0.1, "Share of the sites or frames that test.", above=0, below=1)
     seed: int = setting(0, "Seed of scatterers, chosen frames and split.", least=0)

@@ -14,6 +14,7 @@ import numpy as np
 from ablate.anatomy import Tissue
 from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs
 from ablate.dataset.motion import MOVED_FOLDER, Motion, Moved
+from ablate.evaluation.settings import BASELINES_FOLDER
 from ablate.networks import GeneratorSpec, conditions
 from ablate.networks.spec import NOT_STORED
 from ablate.settings.conf import build
@@ -96,7 +97,7 @@ class DataSet:
 
     def forget_digests(self) -> None:
         """Forget what was computed from frames that are about to be made again."""
-        for computed in (self.kept_digest, *(self.folder / "resimulation").glob("*.json")):
+        for computed in (self.kept_digest, *(self.folder / BASELINES_FOLDER).glob("*.json")):
             computed.unlink(missing_ok=True)
 
     @property

@@ -13,6 +13,7 @@ from ablate import dataset
 from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset import Dropped, Part, Placement, Recipe
 from ablate.dataset.motion import MOVED_FOLDER, Motion, moved_frames, moved_poses
+from ablate.dataset.own_poses import near_training
 from ablate.networks import Space
 from ablate.setting import identity, plain
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
@@ -142,6 +143,10 @@ def simulate_data(
     lacking = asked - len(layout.poses)
     if lacking and not settings.dataset.poses:
         left_out.append(f"{lacking} of {asked} frames asked for: there are no more poses")
+    if near := near_training(layout.poses, layout.split, settings.probe):
+        left_out.append(f"nothing, but {near}; frames that look alike need one site")
+    if scene.guessed:
+        left_out.append(f"nothing, but tissues are guessed: {scene.guessed}")
     tqdm.write(f"Simulating pairs into {folder}")
     tqdm.write(f"{layout.placement}; {len(layout.sites)} of {asked} frames asked for")
     for line in left_out:

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import pandas as pd
@@ -11,6 +12,7 @@ from filelock import FileLock
 
 from ablate import analysis
 from ablate.analysis import StudyResults, draw_figures, listed
+from ablate.analysis.leaderboard import SCREEN_COLUMNS
 from ablate.analysis.tables import head
 from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
@@ -68,7 +70,7 @@ def compare_study(
         if not rebuild:
             asked = with_earlier(asked)
         usable = comparable_runs(asked)
-        failed = time_networks(asked.folder, usable.all, named) if time_here else ""
+        failed = time_networks(asked.folder, usable.all, named, asked.reference) if time_here else ""
         return _compare(asked, usable, title, rebuild, failed)
 
 
@@ -84,18 +86,27 @@ def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, 
     return Compared(study, tuple(for_readers))
 
 
-def on_screen(compared: Compared) -> str:
-    """What the terminal shows of a comparison: its table, its notes, and where its files are."""
+def on_screen(compared: Compared, look: str) -> str:
+    """What the terminal shows of a comparison: its table, its notes, who is best, where the report is, how to look.
+
+    All of it but long paths fits into `analysis.SCREEN_COLUMNS`. How to `look` at the study is the last line.
+    """
     study, folder = compared.study, compared.study.folder / COMPARISON
-    shown = study.table[study.table["metric"].isin(shown_in(Shown.screen))]
-    notes = "\n".join(f"Note: {note}" for note in compared.notes)
-    where = (
-        f"all metrics    {folder / 'table.csv'}\n"
-        f"paired tests   {folder / 'paired.csv'}\n"
-        f"verdicts       {folder / 'verdicts.csv'}{_verdicts_in_words(folder / 'verdicts.csv')}\n"
-        f"report         {folder / 'report.html'}"
+    told = [f"Note: {note}" for note in (*compared.notes, *_verdicts_in_words(folder / "verdicts.csv"))]
+    best = analysis.best_in_words(study.table, study.results.claims, study.reference)
+    report = folder / "report.html"
+    if report.is_relative_to(Path.cwd()):
+        report = report.relative_to(Path.cwd())
+    return "\n".join(
+        [
+            analysis.to_text(study.table[study.table["metric"].isin(shown_in(Shown.screen))]),
+            *(line for note in told for line in wrap(note, SCREEN_COLUMNS, break_long_words=False)),
+            *([""] if told else []),
+            *wrap(f"Best    {best}", SCREEN_COLUMNS, subsequent_indent=" " * 8, break_long_words=False),
+            f"Report  {report}",
+            f"Look    {look}",
+        ]
     )
-    return f"{analysis.to_text(shown)}\n{notes}\n\n{where}"
 
 
 def _made_from(study: Study) -> dict[str, Any]:
@@ -144,6 +155,9 @@ def write_comparison(study: Study, title: str) -> list[str]:
     partial.mkdir(parents=True)
     results, missing = _with_pictures(study)
     notes = [*usable.notes, *missing, *analysis.partly_scored(study.runs, {*results.table["metric"]} - {FRAME_TIME})]
+    scale = analysis.scale_table(results.table)
+    if len(scale):
+        scale.rename_axis("variant").to_csv(partial / "scale.csv")
     analysis.write_report(
         partial / "report.html",
         results,
@@ -182,12 +196,12 @@ def _with_pictures(study: Study) -> tuple[StudyResults, list[str]]:
     return replace(study.results, pictures=frames), missing
 
 
-def _verdicts_in_words(verdicts: Path) -> str:
-    """The verdicts of a file, for the screen; nothing where no run goes without a component."""
+def _verdicts_in_words(verdicts: Path) -> list[str]:
+    """The verdicts of a file in a sentence; none where no run goes without a component."""
     table = pd.read_csv(verdicts)
     shown = table[table["effect"].notna()]
     words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
-    return f" ({', '.join(words)})" if words else ""
+    return [f"Components: {', '.join(words)}."] if words else []
 
 
 def _left_out(runs: Sequence[Run]) -> list[str]:

@@ -11,9 +11,10 @@ import pandas as pd
 import torch
 
 from ablate import dataset
+from ablate.analysis import REFERENCE
 from ablate.dataset import Part, equally_spaced
-from ablate.evaluation import time_in_turns
-from ablate.metrics.metric import BOUNDS, FRAME_TIME
+from ablate.evaluation import formula_images, formula_maps, time_in_turns
+from ablate.metrics.metric import BOUNDS, FORMULA, FRAME_TIME
 from ablate.networks import Family, Generator, Space, conditions
 from ablate.setting import shown
 from ablate.settings.study import StudySettings
@@ -51,6 +52,20 @@ def network_of(identity: Mapping[str, Any]) -> str:
     return digest({"model": identity["model"], "precision": identity["training"].get("precision"), **read})
 
 
+def formula_of(runs: Sequence[Run], reference: str) -> tuple[str, Run] | None:
+    """What decides the time of the formula, and the run whose maps it reads; None where pairs were made elsewhere.
+
+    It is the first run of the reference, or of all where it has none.
+    """
+    simulated = [run for run in runs if run.identity["data"].get("simulator")]
+    of_reference = [run for run in simulated if run.label.partition(".")[0] == reference]
+    first = next(iter(of_reference or simulated), None)
+    if first is None:
+        return None
+    maps = formula_maps(first.training.settings.model)
+    return digest({FORMULA: maps, "data": without_anatomy(first.identity["data"])}), first
+
+
 def read_times(study_dir: Path) -> pd.DataFrame:
     """What is kept for a study: a row for each part of a frame in a round, the machine that was timed last at the end.
 
@@ -70,10 +85,11 @@ def timed_on(runs: Sequence[Run]) -> str:
     return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
 
 
-def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
+def frame_times(runs: Sequence[Run], reference: str = REFERENCE) -> pd.DataFrame:
     """Times of the machine that is shown: columns variant, seed, data, metric, value (the median), lower, upper.
 
-    The bounds are quartiles over the rounds. What a run itself stored of times is not read.
+    The bounds are quartiles over the rounds; the last row is of the formula. What a run itself stored of times is not
+    read.
     """
     rows: list[tuple[object, ...]] = []
     if machine := timed_on(runs):
@@ -82,6 +98,9 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
         timed = frames.groupby("network", sort=False).quantile(np.array([0.5, 0.25, 0.75])).unstack()
         known = [(run, of) for run in runs if (of := network_of(run.identity)) in timed.index]
         rows = [(run.label, run.seed, run.data, FRAME_TIME, *timed.loc[network]) for run, network in known]
+        formula = formula_of(runs, reference)
+        if formula is not None and formula[0] in timed.index:
+            rows.append((FORMULA, formula[1].seed, formula[1].data, FRAME_TIME, *timed.loc[formula[0]]))
     return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
 
 
@@ -93,8 +112,8 @@ def untimed(runs: Sequence[Run]) -> list[str]:
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
 
 
-def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] = ()) -> str:
-    """Time the networks of the runs, unless this machine has timed all of them before.
+def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] = (), reference: str = REFERENCE) -> str:
+    """Time the networks of the runs and the formula, unless this machine has timed all of them before.
 
     Times of different moments do not compare well, so where one is missing all are measured again. Without a checkpoint
     a network is timed with the weights that it starts with, which takes as long. A class of the user's is timed with
@@ -112,9 +131,10 @@ def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] =
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
             here = times["machine"] == machine
-            if to_time.keys() <= set(times["network"][here]):
+            formula = formula_of(list(to_time.values()), reference)
+            if {*to_time, *(formula or ())[:1]} <= set(times["network"][here]):
                 return ""
-            measured = _in_turns(to_time, device).assign(machine=machine)
+            measured = _in_turns(to_time, formula, device).assign(machine=machine)
     except (
         OSError,
         ValueError,
@@ -143,8 +163,8 @@ class _Network:
     render: Rendering
 
 
-def _in_turns(runs: Mapping[str, Run], device: torch.device) -> pd.DataFrame:
-    """Times of each network in the columns of `read_times`, without the machine.
+def _in_turns(runs: Mapping[str, Run], formula: tuple[str, Run] | None, device: torch.device) -> pd.DataFrame:
+    """Times of each network and of the formula in the columns of `read_times`, without the machine.
 
     There are `evaluation.timed_frames` rounds, or `_FEWEST_ROUNDS`, after one that does not count. A round makes the
     maps of one frame, once for all networks that read the same ones and no others, because what a map takes depends on
@@ -155,6 +175,9 @@ def _in_turns(runs: Mapping[str, Run], device: torch.device) -> pd.DataFrame:
     for run in sorted(runs.values(), key=lambda run: run.training.data_set.exists):
         of_kind[_kind_of(run)] = run  # the last counts
     networks = {name: _prepared(run, of_kind[_kind_of(run)].training.data_set, device) for name, run in runs.items()}
+    if formula is not None:
+        name, run = formula
+        networks[name] = _prepared_formula(run, of_kind[_kind_of(run)].training.data_set)
     asked = next(iter(runs.values())).training.settings.evaluation.timed_frames
     rounds = max(asked, _FEWEST_ROUNDS)
     maps = _MapsOfRounds(of_kind, rounds, [network.read for network in networks.values()])
@@ -192,6 +215,13 @@ def _prepared(run: Run, data: DataSet, device: torch.device) -> _Network:
     precision = TrainingPrecision[run.identity["training"]["precision"]]
     render = generated_images(generator.to(device), data.pairs, values, precision)
     return _Network(Read(_kind_of(run), conditions(generator.spec), generator.spec.space), render)
+
+
+def _prepared_formula(run: Run, data: DataSet) -> _Network:
+    """The formula of the maps that the network of a run reads, on frames of a data set of its kind."""
+    spec = run.training.settings.model
+    render = formula_images(data.tissues, data.pairs, spec)
+    return _Network(Read(_kind_of(run), formula_maps(spec), Space.beam), render)
 
 
 class _MapsOfRounds:

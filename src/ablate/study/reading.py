@@ -1,57 +1,77 @@
 """The runs of a study as comparisons read them: their tables and pictures, and how they were made."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ablate import analysis
-from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, StudyResults, ordered_variants
-from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
+from ablate.analysis import BASELINES, REFERENCE, RESIMULATION, FramePictures, StudyResults, ordered_variants
+from ablate.evaluation import formula_images
+from ablate.metrics.metric import BOUNDS, FORMULA, FRAME_TIME, MODEL, SCALAR_PREFIXES, is_bound
 from ablate.networks.spec import Family
 from ablate.settings.conf import NOT_OF_CUSTOM, components
 from ablate.study.comparable import ComparableRuns, factors_of, levels_of
-from ablate.study.frame_times import frame_times, timed_on
+from ablate.study.frame_times import formula_of, frame_times, timed_on
 from ablate.study.provenance import ABOUT_CODE
 from ablate.study.run import Run
 
 
-def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Test values of every run, and once a data set those of the re-simulation, as two tables.
+def scored_frames(runs: Sequence[Run], reference: str = REFERENCE) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Test values of every run, and once a data set those of the baselines, as two tables.
 
     The first has columns variant, seed, frame, site, metric, value, data: one row a metric of a frame of a run. The
     second has variant, seed, data, metric, value, lower, upper: one row a metric that only a run has, with the interval
-    of a distance. `data` is the name of the pairs; frames and sites are numbers within them.
+    of a distance. `data` is the name of the pairs; frames and sites are numbers within them. The formula is that of the
+    maps that the reference reads.
     """
     frames, scalars = [], []
-    first: dict[str, Run] = {}  # of each data set: the run that has most values of re-simulation
-    for run in sorted(runs, key=lambda run: -(run.scores["source"] == RESIMULATED).sum() - len(run.scalars)):
-        first.setdefault(run.data, run)
+    tellers = {source: _tellers(runs, source, reference) for source in BASELINES}
     for run in runs:
-        own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}
-        with_floor = first[run.data] is run
-        table = run.scores[run.scores["split"] == "test"].assign(data=own["data"])
-        frames.append(table[table["source"] == MODEL])
-        floor = table[table["source"] == RESIMULATED]
-        if with_floor and len(floor):
-            frames.append(floor.assign(variant=RESIMULATION))
-        per_image_metrics = set(table["metric"])
-        values: dict[str, float] = run.scalars
-        for name, value in values.items():
-            part, _, metric = name.rpartition("/")
-            is_floor = metric.startswith(FLOOR_PREFIX)
-            metric = metric.removeprefix(FLOOR_PREFIX)
-            of_frames = metric in per_image_metrics or is_bound(metric)
-            if part == "test" and not of_frames and (with_floor or not is_floor):
-                whose = own | ({"variant": RESIMULATION} if is_floor else {})
-                bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
-                scalars.append({**whose, "metric": metric, "value": value, **bounds})
-        parameters = values["parameters_generator"] + values["parameters_discriminator"]
-        scalars.append({**own, "metric": "parameters", "value": parameters})
-    table = pd.DataFrame(scalars)
-    times = frame_times(runs)
-    return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
+        table = run.scores[run.scores["split"] == "test"].assign(data=run.data)
+        told = {MODEL: run.label, **{source: name for source, name in BASELINES.items() if run in tellers[source]}}
+        frames += [table[table["source"] == source].assign(variant=name) for source, name in told.items()]
+        of_frames = set(table["metric"])
+        for source, name in told.items():
+            own = {"variant": name, "seed": run.seed, "data": run.data}
+            scalars += [{**own, **row} for row in _rows_of_scalars(run.scalars, SCALAR_PREFIXES[source], of_frames)]
+        parameters = run.scalars["parameters_generator"] + run.scalars["parameters_discriminator"]
+        of_run = {"variant": run.label, "seed": run.seed, "data": run.data}
+        scalars.append({**of_run, "metric": "parameters", "value": parameters})
+    table, times = pd.DataFrame(scalars), frame_times(runs, reference)
+    filled = [part for part in frames if len(part)]
+    return (
+        pd.concat(filled or frames[:1], ignore_index=True),
+        pd.concat([table, times], ignore_index=True) if len(times) else table,
+    )
+
+
+def _tellers(runs: Sequence[Run], source: str, reference: str) -> list[Run]:
+    """The run of each data set that has most values of a baseline, of the formula first one of the reference."""
+
+    def order(run: Run) -> tuple[bool, int]:
+        is_other = source == FORMULA and run.label.partition(".")[0] != reference
+        return is_other, -int((run.scores["source"] == source).sum()) - len(run.scalars)
+
+    first: dict[str, Run] = {}
+    for run in sorted(runs, key=order):
+        first.setdefault(run.data, run)
+    return list(first.values())
+
+
+def _rows_of_scalars(values: Mapping[str, float], prefix: str, of_frames: Collection[str]) -> list[dict[str, Any]]:
+    """The test scores of a source that frames do not have, from all scalars of a run."""
+    rows = []
+    for name, value in values.items():
+        part, _, metric = name.rpartition("/")
+        others = [other for other in SCALAR_PREFIXES.values() if other and other != prefix]
+        if part != "test" or not metric.startswith(prefix) or metric.startswith(tuple(others)):
+            continue
+        metric = metric.removeprefix(prefix)
+        if metric not in of_frames and not is_bound(metric):
+            rows.append({"metric": metric, "value": value, **{side: values.get(f"{name}_{side}") for side in BOUNDS}})
+    return rows
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
@@ -67,8 +87,12 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
     pairs = runs[0].training.data_set.pairs
     shown = pairs.maps & {"target", "segmentation", "attenuation", "resimulation"}
     maps = {name: pairs.read(name, numbers) for name in shown}
-    if "resimulation" in maps:
-        stored = {RESIMULATION: dict(zip(numbers, maps["resimulation"], strict=True)), **stored}
+    baselines = {RESIMULATION: maps["resimulation"]} if "resimulation" in maps else {}
+    formula = formula_of(runs, reference)
+    if formula is not None:
+        spec = formula[1].training.settings.model
+        baselines[FORMULA] = formula_images(runs[0].training.data_set.tissues, pairs, spec)(np.array(numbers), 0)
+    stored = {name: dict(zip(numbers, images, strict=True)) for name, images in baselines.items()} | stored
     return [
         FramePictures(
             name=f"frame {number}",
@@ -99,7 +123,7 @@ def results_of(usable: ComparableRuns, reference: str = REFERENCE) -> StudyResul
     """The scores of runs, which may show several anatomies, and the design that they make up; without pictures."""
     runs = usable.all
     factors = factors_of(runs)
-    per_image, scalars = scored_frames(runs)
+    per_image, scalars = scored_frames(runs, reference)
     design = analysis.find_design({run.label: levels_of(run.identity) for run in runs}, factors, reference)
     means = analysis.run_means(per_image, scalars, design)
     anatomy_of = {run.data: str(run.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}

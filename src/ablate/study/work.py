@@ -15,10 +15,10 @@ import numpy as np
 
 from ablate import dataset
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
-from ablate.evaluation import ImageSource, Scorer, score_run
+from ablate.evaluation import ImageSource, Scorer, Scores, averaged, baselines, score_run
 from ablate.metrics import choose_metrics, inception_file, load_inception, needs_inception
 from ablate.metrics.features import CENTRE
-from ablate.networks import Generator, conditions, draws_noise
+from ablate.networks import Generator, Space, conditions, draws_noise
 from ablate.settings.study import ConfigurationError, StudySettings, Verbosity
 from ablate.sources.data_set import DataSet, maps_needed
 from ablate.sources.prepare import prepare_data
@@ -94,11 +94,12 @@ def _train_and_score(job: Job, training: Training) -> None:
                 }
             )
         wanted = wanted_scores(settings.metrics, settings.evaluation, data.pixels)
-        render_moved = None
-        if data.moved is not None:
-            of_moved = data.moved.pairs, values, settings.training.precision, data.moved.before
-            render_moved = generated_images(trained.generator, *of_moved)
-        _score(settings, training, data, (render, render_moved), training.lacking(wanted))
+        lacking = training.lacking(wanted)
+        if lacking:
+            generators = (*trained.snapshots, trained.generator)
+            scores = averaged([_scored(settings, data, generator, values, lacking) for generator in generators])
+            for key, score in by_metric(scores, lacking).items():
+                write_score(training.scores, key, score)
         _LOG.info("finished")
 
 
@@ -172,6 +173,7 @@ def _train(
         sink=log.metrics,
         validation=_validation(settings, data, values, log),
         labels=values.shape[1],
+        title=training.name,
     )
 
 
@@ -183,21 +185,27 @@ def _write_pictures(training: Training, data: DataSet, render: ImageSource, coun
         np.savez_compressed(partial, frames=shown, images=render(shown, 0))
 
 
-def _score(
-    settings: StudySettings,
-    training: Training,
-    data: DataSet,
-    rendered: tuple[ImageSource, ImageSource | None],
-    lacking: Sequence[ScoreKey],
-) -> None:
-    """Compute and keep the scores that are missing, of images of the frames and of those after motions."""
-    if not lacking:
-        return
-    asked = replace(settings, metrics=[key.asked for key in lacking])
-    render, render_moved = rendered
-    scores = score_run(scorer(asked, data), render, draws_noise(settings.model), render_moved)
-    for key, score in by_metric(scores, lacking).items():
-        write_score(training.scores, key, score)
+def _scored(
+    settings: StudySettings, data: DataSet, generator: Generator, values: np.ndarray, asked: Sequence[ScoreKey]
+) -> Scores:
+    """Compute scores of a generator on the frames of a data set, and on those after motions."""
+    of_asked = scorer(replace(settings, metrics=[key.asked for key in asked]), data)
+    precision = settings.training.precision
+    render = generated_images(generator, data.pairs, values, precision)
+    render_moved = None
+    if data.moved is not None:
+        render_moved = generated_images(generator, data.moved.pairs, values, precision, data.moved.before)
+    render_beam = None
+    if settings.model.space is Space.beam:
+        render_beam = generated_images(generator, data.pairs, values, precision, shown_in=Space.beam)
+    return score_run(
+        of_asked,
+        render,
+        draws_noise(settings.model),
+        moved_images=render_moved,
+        beam_images=render_beam,
+        beside=baselines(of_asked, settings.model),
+    )
 
 
 def scorer(settings: StudySettings, data: DataSet) -> Scorer:

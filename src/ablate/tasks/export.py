@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from importlib.resources import files
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 from jinja2 import Template
@@ -25,11 +26,15 @@ def export(jobs: Sequence[Job]) -> int:
     """Write the first job's data set, simulated first where it is missing, and print the folder of the files."""
     settings = jobs[0].settings
     chosen = settings.dataset.format
-    if chosen is ExportFormat.dicom and not source_of(settings).has_scene:
-        raise ConfigurationError(
-            "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
-        )
     check_dicom(chosen)
+    imported = not source_of(settings).has_scene
+    if (
+        chosen is ExportFormat.dicom
+        and imported
+        and not (fan := Path(settings.scene.folder or "") / "fan.yaml").exists()
+    ):
+        told = "which tells the mm of pairs made elsewhere; allowed without it: png, nnunet"
+        raise ConfigurationError(f"dataset.format=dicom: needs {fan}, {told}")
     maps = maps_needed(job.settings.model for job in jobs)
     data = prepare_data(settings, jobs[0].data, jobs[0].identity["data"], maps)
     pairs = data.pairs
@@ -43,7 +48,7 @@ def export(jobs: Sequence[Job]) -> int:
     else:
         from ablate.dataset.dicom_files import write_dicom
 
-        write_dicom(pairs, folder, pixel_size_mm(settings.probe, pairs.shape))
+        write_dicom(pairs, folder, pixel_size_mm(pairs.probe or settings.probe, pairs.shape), imported)
     write_text(folder / "README.md", _card(settings, data))
     print(folder)
     return 0
@@ -65,4 +70,6 @@ def _card(settings: StudySettings, data: DataSet) -> str:
     card = Template(files("ablate.tasks").joinpath("card.md.jinja").read_text("utf-8"), keep_trailing_newline=True)
     about_frames = {"parts": parts, "sites": len(np.unique(pairs.sites)), "made": json.dumps(made, indent=2)}
     imported = not source_of(settings).has_scene
-    return card.render(settings=settings, pairs=pairs, imported=imported, **about_frames)
+    probe = pairs.probe if imported else pairs.probe or settings.probe
+    pixel = pixel_size_mm(probe, pairs.shape) if probe else None
+    return card.render(settings=settings, pairs=pairs, imported=imported, pixel_mm=pixel, **about_frames)

@@ -131,6 +131,8 @@ def preview(jobs: Sequence[Job]) -> int:
         image, segmentation = rendered.image, rendered.segmentation
     part, site = Part(frames.split[frame]).name, frames.sites[frame]
     title = f"{settings.scene_name}: frame {frame} of {len(frames.sites)}, {part}, site {site}"
+    if scene.guessed:
+        title += f"\ntissues guessed: {scene.guessed}"
     path, pose = data.folder / f"preview_{frame}.png", frames.poses[frame]
     print(preview_figure(path, title, scene, settings.probe, pose, image, segmentation, grid))
     return 0

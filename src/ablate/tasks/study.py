@@ -82,7 +82,7 @@ def _marked(jobs: Sequence[Job]) -> Iterator[None]:
     if not jobs:
         yield
         return
-    from ablate.publish import mark_study
+    from ablate.publish import mark_study, published_end
 
     groups = _by_study(jobs)
     for group in groups:
@@ -90,6 +90,9 @@ def _marked(jobs: Sequence[Job]) -> Iterator[None]:
     try:
         yield
     finally:
+        for job in jobs:
+            if not job.finished:
+                published_end(job)
         for group in groups:
             all_finished = all(job.finished for job in group)
             mark_study(group[0].settings, Status.finished if all_finished else Status.failed)
@@ -183,8 +186,7 @@ def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_he
     settings = jobs[0].settings
     named = [job.settings.model.target for job in jobs if job.settings.model.target]
     compared = compare_study(asked, settings.study, rebuild, time_here, named)
-    where = publish_study(settings, compared.study, compared.notes)
-    print(f"{on_screen(compared)}\nMLflow         {where}")
+    print(on_screen(compared, publish_study(settings, compared.study, compared.notes)))
     shown = {run.training.folder for run in compared.study.listed.runs}
     others = [one.folder.name for one in trainings_in(asked.folder) if one.is_trained and one.folder not in shown]
     if others:

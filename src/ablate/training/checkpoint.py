@@ -1,13 +1,46 @@
-"""Read a checkpoint. Not the code that trains: looking at a run does not load Lightning."""
+"""Write and read weights. Not the code that trains: looking at a run does not load Lightning."""
 
+from copy import deepcopy
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from ablate.networks import Generator, GeneratorSpec
+from ablate.storage import remove_partial, written_whole
 from ablate.training.settings import TrainingSettings
 from ablate.user_code import check_named, code_digest
+
+
+def write_weights(path: Path, content: object) -> None:
+    """Write what torch can save, whole; one process writes a file."""
+    remove_partial(path)
+    saved = BytesIO()
+    torch.save(content, saved)  # to a path, a full disk is a RuntimeError
+    with written_whole(path) as partial:
+        partial.write_bytes(saved.getbuffer())
+
+
+def write_snapshot(folder: Path, step: int, generator: Generator) -> None:
+    """Keep the weights of a generator after so many steps."""
+    write_weights(_snapshot(folder, step), generator.state_dict())
+
+
+def load_snapshot(folder: Path, step: int, like: Generator) -> Generator:
+    """Load what `write_snapshot` has kept into a copy of a generator; a ValueError where it cannot be read."""
+    path = _snapshot(folder, step)
+    generator = deepcopy(like)
+    try:
+        generator.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
+    except Exception as error:  # torch raises many kinds
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path}: not the weights of this network ({reason:.200}); remove {folder}") from error
+    return generator
+
+
+def _snapshot(folder: Path, step: int) -> Path:
+    return folder / f"step-{step}.pt"
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

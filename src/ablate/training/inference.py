@@ -239,10 +239,11 @@ def generated_images(
     values: np.ndarray,
     precision: TrainingPrecision,
     noise_of: np.ndarray | None = None,
+    shown_in: Space = Space.image,
 ) -> Callable[..., np.ndarray]:
     """An `ImageSource` of a generator on a data set; the noise depends on frame number and draw.
 
-    A generator in beam space renders there, and its frames are scan-converted.
+    A generator in beam space renders there, and its frames are scan-converted unless they are shown there.
 
     Parameters
     ----------
@@ -256,6 +257,8 @@ def generated_images(
         Of the convolutions.
     noise_of : (frames,) int, optional
         For each frame the number whose noise it has, in place of its own.
+    shown_in : Space
+        Of the frames that are returned; those of a generator on images are images.
 
     Returns
     -------
@@ -264,7 +267,7 @@ def generated_images(
     """
     space = generator.spec.space
     mask = pairs.mask(space)
-    converter = pairs.converter if space is Space.beam else None
+    converter = pairs.converter if space is Space.beam and shown_in is Space.image else None
 
     def render(frames: np.ndarray, draw: int, given: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         maps = given or {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}

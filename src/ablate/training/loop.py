@@ -5,7 +5,6 @@ import signal
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,8 @@ from torch import Tensor
 from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import identity
-from ablate.storage import remove_partial, written_whole
 from ablate.threads import torch_threads
-from ablate.training.checkpoint import read_checkpoint
+from ablate.training.checkpoint import load_snapshot, read_checkpoint, write_snapshot, write_weights
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
@@ -34,11 +32,15 @@ _TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16:
 
 @dataclass(frozen=True)
 class TrainedGenerator:
-    """The generator to evaluate, on the device it was trained on, its checkpoint, and the steps done before."""
+    """The generator to evaluate, on the device it was trained on, its checkpoint, and the steps done before.
+
+    `snapshots` are the generators of `settings.snapshot_steps`, which are scored with it.
+    """
 
     generator: Generator
     checkpoint: Path
     resumed_at: int
+    snapshots: tuple[Generator, ...] = ()
 
 
 def train(
@@ -49,6 +51,7 @@ def train(
     sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
     labels: int = 1,
+    title: str = "",
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
@@ -67,7 +70,7 @@ def train(
     loader : callable
         `loader(start, stop)` iterates over the batches of these steps; see `PairGAN.training_step` for a batch.
     run_dir : Path
-        `last.ckpt` is written there, and continued from if it exists.
+        `last.ckpt` is written there, and continued from if it exists; and the weights of `settings.snapshot_steps`.
     sink : callable, optional
         `sink(metrics, images_seen)`; the `log_metrics` of a Lightning logger fits.
     validation : callable, optional
@@ -75,6 +78,8 @@ def train(
         `settings.validate_every` steps; returns metrics.
     labels : int
         Channels of the segmentation in a batch.
+    title : str
+        What the line of progress begins with.
 
     Returns
     -------
@@ -84,7 +89,7 @@ def train(
     Raises
     ------
     ValueError
-        Where the crop is smaller than 2^depth, or `last.ckpt` is of another run.
+        Where the crop is smaller than 2^depth, `last.ckpt` is of another run, or a snapshot cannot be read.
     InterruptedError
         Where a signal stopped training and the handler of that signal returned.
     DivergenceError
@@ -103,8 +108,10 @@ def train(
         resume(module, checkpoint)
     start = module.steps_done
     if start < settings.steps:
-        _finish(module, loader, Report(sink, validation), device, run_dir)
-    return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
+        _finish(module, loader, Report(sink, validation, title), device, run_dir)
+    trained = module.evaluated.eval().to(device)
+    kept = [load_snapshot(run_dir, step, trained) for step in settings.snapshot_steps]
+    return TrainedGenerator(trained, checkpoint, start, tuple(kept))
 
 
 def _finish(module: PairGAN, loader: Loader, report: Report, device: torch.device, run_dir: Path) -> None:
@@ -177,6 +184,8 @@ class LastCheckpoint(Callback):
         step = module.steps_done
         trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
         is_due = self.every > 0 and step % self.every == 0
+        if step in module.settings.snapshot_steps:  # before the checkpoint, from which it would not be made again
+            write_snapshot(self.path.parent, step, module.evaluated)
         if trainer.should_stop or is_due or step == module.settings.steps:
             self._write(module)
 
@@ -185,11 +194,7 @@ class LastCheckpoint(Callback):
         if not torch.stack([norm.float() for norm in norms]).isfinite().all():
             kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
             raise DivergenceError(f"step {module.steps_done}: weights are not finite{kept}")
-        remove_partial(self.path)  # one process trains a run
-        content = BytesIO()
-        torch.save(module.checkpoint(), content)  # to a path, a full disk is a RuntimeError
-        with written_whole(self.path) as partial:
-            partial.write_bytes(content.getbuffer())
+        write_weights(self.path, module.checkpoint())
 
 
 def resume(module: PairGAN, path: Path) -> None:

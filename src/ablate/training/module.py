@@ -119,9 +119,9 @@ class PairGAN(LightningModule):
             losses |= self._train_discriminator(self.discriminator, optimizers_d[0], stacked, image, fake.detach())
             self.discriminator.requires_grad_(False)
             losses["train/loss_g"] = self._adversarial_loss(self.discriminator(stacked, fake).float())
-        losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
+        losses["train/l1"] = error = (fake - image).abs().mean()
         if second:
-            losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, second[0], image), mask)
+            losses["train/crps"] = error = crps_of_two_draws(fake, second[0], image).mean()
         optimizer_g.zero_grad()
         self.manual_backward(losses.get("train/loss_g", 0) + self.settings.l1_weight * error)
         optimizer_g.step()
@@ -221,15 +221,6 @@ class PairGAN(LightningModule):
         """The optimisers, the generator's first; Lightning gives a single one without a list around it."""
         optimizers = self.optimizers()
         return optimizers if isinstance(optimizers, Sequence) else [optimizers]
-
-
-def mean_in_fan(values: Tensor, mask: Tensor) -> Tensor:
-    """Average over the fan of a whole batch: every pixel of a fan weighs the same, however much of a crop it fills.
-
-    `values` and `mask` are (N, 1, H, W) float, the mask 1 in the fan and else 0. The mean, () float, is 0 where no
-    pixel of the batch lies in the fan.
-    """
-    return (values * mask).sum() / mask.sum().clamp(min=1)
 
 
 def crps_of_two_draws(first: Tensor, second: Tensor, target: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ MetricSink = Callable[[dict[str, float], int], None]
 Validation = Callable[[Generator, int], Mapping[str, float]]
 
 _LOG = logging.getLogger(__name__)
+_LINE = "{desc}: {percentage:3.0f}% of {total_fmt} steps, {remaining} left{postfix}"  # on a terminal
 _LINES = 10  # about so many lines of the log in a training
 # What a line shows of the metrics that there are.
 _FORMATS = {
@@ -41,19 +42,25 @@ class DivergenceError(RuntimeError):
 class Report(Callback):
     """Send metrics every `log_every` steps, check them, and show progress; validate the generator to evaluate.
 
-    The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar; the log has
-    a line about every tenth of the run, marked `in_bar` where a bar shows the same.
+    The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is one line that
+    begins with `title` and is redrawn; the log has a line about every tenth of the run, marked `in_bar` where that line
+    shows the same. Both say how much time is left.
     """
 
-    def __init__(self, sink: MetricSink, validation: Validation | None = None) -> None:
+    def __init__(self, sink: MetricSink, validation: Validation | None = None, title: str = "") -> None:
         self.sink = sink
         self.validation = validation
+        self.title = title
 
     def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock, and validate the untrained network, where curves begin."""
+        steps, done = module.settings.steps, module.steps_done
         # With `disable=None` it is shown on a terminal alone.
-        self._bar: tqdm[Any] = tqdm(total=module.settings.steps, initial=module.steps_done, unit="step", disable=None)
-        self._since = time.perf_counter()
+        self._bar: tqdm[Any] = tqdm(
+            None, self.title, steps, initial=done, disable=None, dynamic_ncols=True, bar_format=_LINE
+        )
+        self._since = self._began = time.perf_counter()
+        self._first = done
         self._steps_timed = 0
         if module.steps_done == 0:
             self._validate(module)
@@ -93,7 +100,13 @@ class Report(Callback):
         lines = step * _LINES // settings.steps
         lines_before = (step - settings.log_every) * _LINES // settings.steps
         if lines > lines_before or step == settings.steps:
-            _LOG.info("step %d of %d: %s", step, settings.steps, text, extra={"in_bar": not self._bar.disable})
+            left = f", {self._left(step, settings.steps)} left" if step < settings.steps else ""
+            _LOG.info("step %d of %d%s: %s", step, settings.steps, left, text, extra={"in_bar": not self._bar.disable})
+
+    def _left(self, step: int, steps: int) -> str:
+        """The time that the steps left take, at the pace since the start, such as 04:10."""
+        seconds = (time.perf_counter() - self._began) / (step - self._first) * (steps - step)
+        return str(tqdm.format_interval(round(seconds)))
 
     def _validate(self, module: PairGAN) -> None:
         every = module.settings.validate_every

@@ -6,8 +6,9 @@ from enum import StrEnum
 from ablate.setting import Checked, setting
 
 #: Part of every run's identity: raise it when the same settings and pairs train another network.
-TRAINING_VERSION = 2
+TRAINING_VERSION = 3
 SMALLEST_CROP = 32
+SNAPSHOT_PARTS = 20
 LAST = "last.ckpt"  # the checkpoint in the folder of a run
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -59,7 +60,9 @@ class TrainingSettings(Checked):
     beta1: float = setting(0.5, "Decay of Adam's average of gradients.", least=0, below=1)
     beta2: float = setting(0.999, "Decay of Adam's average of squared gradients.", least=0, below=1)
     l1_weight: float = setting(100.0, "Lambda: weight of `reconstruction` of images in [-1, 1].", least=0, most=1e12)
-    reconstruction: Reconstruction = setting(Reconstruction.l1, "The error of an image in the fan.")
+    reconstruction: Reconstruction = setting(
+        Reconstruction.l1, "The error of a masked image: a mean over its pixels, black outside the fan, as printed."
+    )
     loss: AdversarialLoss = setting(
         AdversarialLoss.nonsaturating,
         "What the generator minimises of the discriminator's answer; with `none` there is no discriminator, and "
@@ -87,6 +90,13 @@ class TrainingSettings(Checked):
         most=2**12,
         incidental=True,
     )
+    snapshots: int = setting(
+        1,
+        "Sets of weights that are kept and scored, of which scores are means: those after the last 20ths of the steps. "
+        "Of a GAN without a running average one set alone is as much luck as merit.",
+        least=1,
+        most=SNAPSHOT_PARTS,
+    )
     seed: int = setting(0, "Seed of the initial weights. Crops and noise come from the seed of the batches.", least=0)
     checkpoint_every: int = setting(
         1000, "Steps between two checkpoints; 0 for one at the end alone.", least=0, incidental=True
@@ -107,6 +117,13 @@ class TrainingSettings(Checked):
     def has_discriminator(self) -> bool:
         """Whether a discriminator is made and trained."""
         return self.loss is not AdversarialLoss.none
+
+    @property
+    def snapshot_steps(self) -> tuple[int, ...]:
+        """Steps after which weights are kept to be scored, besides those of the last step; increasing, without 0."""
+        parts = range(SNAPSHOT_PARTS - self.snapshots + 1, SNAPSHOT_PARTS)
+        steps = {round(self.steps * part / SNAPSHOT_PARTS) for part in parts}
+        return tuple(sorted(steps - {0, self.steps}))
 
     def learning_rate_at(self, step: int) -> float:
         """Compute the learning rate of both networks at a step, the first of which is 0."""

@@ -26,12 +26,14 @@ from ablate.viewer.trained import Trained
 
 _LOG = logging.getLogger(__name__)
 _SHIPPED = Path("pretrained")
+#: Picked in place of a generator: S, A and the lattice of scatterers in closed form.
+FORMULA = _SHIPPED / "formula"
 #: How a network of the user's own is named on the command line of the viewer.
 _NAMED_BY = "variant=custom model.target"
 
 
 def pickable(folder: Path) -> dict[str, Path]:
-    """What `open_generator` opens, by name: the runs of a folder, of SA2H first, then those of the package.
+    """What `open_generator` opens, by name: the runs of a folder, of SA2H first, those of the package, the formula.
 
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
@@ -40,7 +42,8 @@ def pickable(folder: Path) -> dict[str, Path]:
     usable.sort(key=lambda training: training.label != StudySettings.reference)
     named = {f"{training.folder.parent.name}: {training.name}": training.folder.resolve() for training in usable}
     shipped = sorted(pretrained.NAMES, key=lambda name: name != StudySettings.reference)
-    return named | {f"comes with ablate: {name}": _SHIPPED / name for name in shipped}
+    named |= {f"comes with ablate: {name}": _SHIPPED / name for name in shipped}
+    return named | {"comes with ablate: the formula": FORMULA}
 
 
 def is_shipped(picked: Path) -> bool:
@@ -70,7 +73,7 @@ def first_fitting(
     custom : str or None
         As of `open_generator`.
     """
-    for picked in offered.values():
+    for picked in (one for one in offered.values() if one != FORMULA):
         try:
             reservation = open_generator(picked, tissues, custom).reservation(state)
         except Exception as error:  # whatever somebody wrote into the files of a run

@@ -4,7 +4,7 @@ import time
 import warnings
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,12 @@ from ablate.ultrasound import (
     TimeGain,
     fan_mask,
     grain,
+    scan_converter,
     with_patient_gain,
 )
+from ablate.ultrasound.formula import Formula
 from ablate.ultrasound.probe import pixel_polar
-from ablate.viewer.generators import open_generator, trained_at
+from ablate.viewer.generators import FORMULA, open_generator, trained_at
 from ablate.viewer.session import Moving, Quality, ViewerState, Views
 
 _COARSE_RAYS = 4
@@ -51,6 +53,7 @@ class SceneRenderer:
         self._patient_gain = lru_cache(_KEPT_SIMULATORS)(self._new_patient_gain)
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
         self._generator = lru_cache(_KEPT_GENERATORS)(lambda run, _: open_generator(run, scene.tissues, custom))
+        self._formula = lru_cache(_KEPT_SIMULATORS)(partial(Formula, scene.tissues))
         self._kept: dict[str, tuple[Hashable, Any, float]] = {}  # of each name the last key, what was made, and its ms
 
     def render(self, state: ViewerState, quality: Quality) -> Views:
@@ -109,6 +112,8 @@ class SceneRenderer:
         maps: tuple[np.ndarray, np.ndarray],
     ) -> tuple[np.ndarray, float, str]:
         """The image of a generator, (H, W) uint8, its milliseconds, and with what reservation it is shown."""
+        if run == FORMULA:
+            return *self._in_closed_form(name, state, simulator), ""
         trained = self._generator(run, trained_at(run))
         mask, depth = _fan(state.probe, state.simulator.image_shape)
         low = self._low(state, trained.space) if "low" in trained.reads else None
@@ -128,6 +133,23 @@ class SceneRenderer:
         key = trained, state.probe, state.simulator
         note, _ = self._once(f"{name}, note", key, lambda: trained.reservation(state))
         return image, ms, note
+
+    def _in_closed_form(self, name: str, state: ViewerState, simulator: Simulator) -> tuple[np.ndarray, float]:
+        """The image of the formula, (H, W) uint8, and its milliseconds."""
+
+        def render() -> np.ndarray:
+            beam = simulator.beam_maps(state.pose, of_surfaces=False)
+            lattice = grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
+            maps = {"segmentation": beam.segmentation, "attenuation": beam.attenuation, GRAIN: lattice}
+            formula = self._formula(state.probe, simulator.settings)
+            image = formula(formula.insonified(maps), state.seed)
+            return scan_converter(state.probe, image.shape, state.simulator.image_shape).to_image(image)
+
+        image, ms = self._once(name, ("formula", *_place(state), state.seed), render)
+        if state.display not in (None, Display()):
+            depth = _fan(state.probe, state.simulator.image_shape)[1]
+            image = state.display.shown(image, depth, state.simulator)
+        return image, ms
 
     def _low(self, state: ViewerState, space: Space) -> np.ndarray:
         """The image of low quality in one space, as the simulator's settings display it."""

@@ -126,3 +126,10 @@ def test_sites_look_at_the_fetus_of_every_pregnancy(built, mesh_of, seed: int) -
         seen.append((within_fan & (depth > 0)).mean() > 0.15)
     assert len(seen) >= 50
     assert np.mean(seen) > 0.95
+
+
+def test_what_a_pregnancy_lacks_is_no_structure() -> None:
+    """The placenta of seed 10 has no vessels."""
+    scene = fetal_abdomen(4_000, seed=10)
+    assert all(len(structure.mesh.faces) for structure in scene.structures)
+    assert len(scene.structures) == len(fetal_abdomen(4_000, seed=0).structures) - 1

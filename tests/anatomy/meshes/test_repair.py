@@ -162,7 +162,11 @@ def test_soup_of_triangles_is_merged() -> None:
         ("empty.obj", "# nothing\n", ""),
         ("garbage.ply", "\0\1not a mesh", ""),
         ("infinite.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "has vertices that are not finite"),
-        ("missing.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "not readable as a mesh: .*index outside"),
+        (
+            "missing.off",
+            "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n",
+            "has triangles with vertices that are not among its 3",
+        ),
         ("point.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its 1 triangles are degenerate"),
     ],
 )

@@ -13,19 +13,23 @@ from ablate.anatomy.meshes.repair import load_mesh
 
 pytest.importorskip("vtkmodules", reason="needs the extra: pip install 'ablate-ultrasound[vtk]'")
 
+from vtkmodules.vtkFiltersCore import vtkAppendPolyData
 from vtkmodules.vtkFiltersSources import vtkCubeSource
 from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
 
-def write(path: Path, binary: bool = False) -> Path:
-    """A box of 20 x 30 x 40, made of squares."""
-    box = vtkCubeSource()
-    box.SetXLength(20), box.SetYLength(30), box.SetZLength(40)
+def write(path: Path, binary: bool = False, count: int = 1) -> Path:
+    """Boxes of 20 x 30 x 40, made of squares, beside each other."""
+    boxes = vtkAppendPolyData()
+    for number in range(count):
+        box = vtkCubeSource()
+        box.SetXLength(20), box.SetYLength(30), box.SetZLength(40), box.SetCenter(50 * number, 0, 0)
+        boxes.AddInputConnection(box.GetOutputPort())
     writer: Any = vtkPolyDataWriter() if path.suffix == ".vtk" else vtkXMLPolyDataWriter()
     if binary and path.suffix == ".vtk":
         writer.SetFileTypeToBinary()
-    writer.SetInputConnection(box.GetOutputPort())
+    writer.SetInputConnection(boxes.GetOutputPort())
     writer.SetFileName(str(path))
     assert writer.Write() == 1
     return path
@@ -67,6 +71,24 @@ def test_all_ways_to_write_a_vtp_are_read(tmp_path: Path) -> None:
             "POLYGONS 1 5\n4 0 1 2 99999999\n",
             "a polygon names a vertex that is not in the file",
         ),
+        (
+            "cut_between_lines.vtk",
+            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 4 int\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+            "POLYGONS 2 4\n3 0 1 2\n",
+            "POLYGONS in it declares 2 of them, 1 can be read",
+        ),
+        (
+            "twice.vtk",
+            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 4 int\n0 0 0 1 0 0 0 1 0 0 0 1\n"
+            "POLYGONS 2 8\n3 0 1 2\n3 0 1 3\nPOLYGONS 1 4\n3 1 2 3\n",
+            "POLYGONS in it declares 2 and 1 of them, 1 can be read",
+        ),
+        (
+            "crossing.vtk",
+            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 4 int\n0 0 0 4 0 0 2 0 0 0 1 0\n"
+            "POLYGONS 2 10\n3 0 1 3\n5 0 1 2 1 3\n",
+            "polygons in it cannot be cut into triangles",
+        ),
         ("cut.vtk", None, "Unrecognized keyword"),
         ("cut.vtp", None, "unclosed token"),
     ],
@@ -83,6 +105,19 @@ def test_a_file_that_cannot_be_used_is_named_with_a_reason(
     with pytest.raises(ValueError, match=rf"{name}: not readable as a mesh: .*{words}"):
         load_mesh(path)
     assert capfd.readouterr().err == "", "VTK writes to the screen"
+
+
+@pytest.mark.parametrize("name", ["ascii.vtk", "binary.vtk", "two.vtp"])
+def test_two_bodies_in_a_file_that_ends_early_are_both_read_or_none(name: str, tmp_path: Path) -> None:
+    path = write(tmp_path / name, binary=name == "binary.vtk", count=2)
+    whole = path.read_bytes()
+    for cut in range(whole.index(b"POLYGONS" if name.endswith("vtk") else b"<Polys>"), len(whole) + 1, 9):
+        path.write_bytes(whole[:cut])
+        try:
+            volume = load_mesh(path).volume  # where only normals are cut
+        except ValueError:
+            volume = 0
+        assert volume in (0, pytest.approx(2 * 20 * 30 * 40)), f"the first {cut} of {len(whole)} bytes"
 
 
 def test_a_scene_is_made_of_them_and_without_the_package_its_extra_is_named(

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ablate.anatomy import load_scene, load_tissues, validate_scene_folder
 from ablate.anatomy.volumes import label_map
 from ablate.anatomy.volumes import labelled_structures as module
-from ablate.anatomy.volumes.labelled_structures import read_order
+from ablate.anatomy.volumes.label_order import read_order
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_coordinates_mm
 from support.scene_hash import content_hash
@@ -90,7 +90,7 @@ def test_labels_come_before_meshes_and_a_table_names_its_classes(tmp_path: Path)
 
 
 def test_the_table_holds_known_tissues_and_each_class_once() -> None:
-    rows = label_map._table()
+    rows = label_map.numbered_classes()
     assert [number for number, _, _ in rows] == list(range(1, 118))
     assert len({name for _, name, _ in rows}) == 117
     assert {tissue for _, _, tissue in rows} <= load_tissues().keys()
@@ -113,7 +113,7 @@ def test_the_body_is_what_is_above_a_threshold_and_all_within_it(tmp_path: Path)
     scene = load_scene(folder)
     assert [s.mesh.metadata["name"] for s in scene.structures] == ["body", "label 1", "label 2", "label 3"]
     assert scene.structures[0].tissue.name == "fat"
-    order, _ = module.read_order(validate_scene_folder(folder).labels, "labels")  # type: ignore[arg-type]
+    order, _ = read_order(validate_scene_folder(folder).labels, "labels")  # type: ignore[arg-type]
     expected = np.zeros(values.shape, np.uint8)
     expected[3:45, 3:47, 3:39] = 1
     assert np.array_equal(order, np.where(values > 0, values + 1, expected))
@@ -174,6 +174,8 @@ def test_a_mesh_that_3d_slicer_wrote_in_lps_does_not_join_labels_in_ras(tmp_path
         ({"file": "labels.img"}, "labels.file='labels.img': allowed are names of files that end in .nii, .nii.gz"),
         ({"body": {"file": "labels.nii.gz"}}, "labels.body.above=None: allowed are finite numbers"),
         ({"body": {"file": "small.nii.gz", "above": 0}}, "labels.body.file: .*small.nii.gz has not the shape"),
+        ({"body": {"file": "colour.nii.gz", "above": 0}}, "labels.body.file: .*colour.nii.gz holds colours"),
+        ({"body": {"file": "complex.nii.gz", "above": 0}}, "labels.body.file: .*complex.nii.gz holds complex numbers"),
         ({"body": {"file": "labels.nii.gz", "above": 9}}, "labels.body.above: no voxel of .* is above 9 and has no"),
     ],
 )
@@ -181,9 +183,24 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path, labels: dict[str,
     values, _ = three_balls()
     folder = write(tmp_path, values, np.eye(4), **labels)
     nibabel.save(nibabel.Nifti1Image(values[1:], np.eye(4)), folder / "small.nii.gz")
+    for name, kind in {"colour": [("R", "u1"), ("G", "u1"), ("B", "u1")], "complex": np.complex64}.items():
+        image = nibabel.Nifti1Image(np.zeros(values.shape, kind), np.eye(4))
+        nibabel.save(image, folder / f"{name}.nii.gz")
     with pytest.raises(ValueError, match=rf"scene\.yaml: {message}") as caught:
         load_scene(folder)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("damaged", ["labels.nii.gz", "ct.nii.gz"])
+def test_labels_and_the_image_of_the_body_must_have_their_checksums(tmp_path: Path, damaged: str) -> None:
+    values, _ = three_balls()
+    folder = write(tmp_path, values, np.eye(4), body={"file": "ct.nii.gz", "above": 0})
+    nibabel.save(nibabel.Nifti1Image(np.ones(values.shape, np.int16), np.eye(4)), folder / "ct.nii.gz")
+    content = bytearray((folder / damaged).read_bytes())
+    content[-8] ^= 1
+    (folder / damaged).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{damaged}: not readable to its end: CRC check failed"):
+        load_scene(folder)
 
 
 @pytest.mark.parametrize(
@@ -193,7 +210,10 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path, labels: dict[str,
         (np.full((9, 9, 9), -4, np.int16), "holds the value -4; allowed are 0 to 65535"),
         (np.full((9, 9, 9), 0.37, np.float32), "holds the value 0.37; labels are whole numbers"),
         (np.full((9, 9, 9), np.nan, np.float32), "holds the value nan; allowed are 0 to 65535"),
-        (np.zeros((9, 9, 9), [("R", "u1"), ("G", "u1"), ("B", "u1")]), "holds [('R', 'u1'), ('G', 'u1'), ('B', 'u1')]"),
+        (np.full((9, 9, 9), 0.9999999, np.float32), "holds the value 0.9999999; labels are whole numbers"),
+        (np.full((9, 9, 9), 2 + 1e-12, np.float64), "holds the value 2.000000000001; labels are whole numbers"),
+        (np.full((9, 9, 9), 65535.004, np.float32), "holds the value 65535.004; allowed are 0 to 65535"),
+        (np.full((9, 9, 9), 1e300, np.float64), "holds the value 1e+300; allowed are 0 to 65535"),
     ],
 )
 def test_values_that_are_no_labels_are_named(tmp_path: Path, values: np.ndarray, message: str) -> None:

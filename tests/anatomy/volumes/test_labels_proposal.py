@@ -2,17 +2,14 @@
 
 from pathlib import Path
 
-import nibabel
 import nrrd
 import numpy as np
 import pytest
 import trimesh
 from skimage.filters import threshold_otsu
 
-from ablate.anatomy import load_scene, load_sites, proposed_scene
-
-MM = 4.0  # a voxel
-AFFINE = np.array([[MM, 0, 0, -80], [0, MM, 0, -70], [0, 0, MM, 100], [0, 0, 0, 1.0]])
+from ablate.anatomy import load_scene, load_sites, proposed_scene, validate_scene_folder
+from support.volumes import MM, blocks, save
 
 
 def organs() -> np.ndarray:
@@ -31,10 +28,6 @@ def image(labels: np.ndarray, air: float, flesh: float) -> np.ndarray:
     return values + np.random.default_rng(0).normal(scale=5, size=labels.shape).astype(np.float32)
 
 
-def save(folder: Path, name: str, values: np.ndarray) -> None:
-    nibabel.save(nibabel.Nifti1Image(values, AFFINE), folder / name)
-
-
 def proposed(folder: Path) -> str:
     text = proposed_scene(folder)
     (folder / "scene.yaml").write_text(text)
@@ -42,8 +35,8 @@ def proposed(folder: Path) -> str:
 
 
 def test_labels_beside_a_ct_are_a_scene_with_a_body(tmp_path: Path) -> None:
-    save(tmp_path, "my scan.nii.gz", image(organs(), -1000, 30))
-    save(tmp_path, "organs.nii.gz", organs())
+    save(tmp_path / "my scan.nii.gz", image(organs(), -1000, 30))
+    save(tmp_path / "organs.nii.gz", organs())
     text = proposed(tmp_path)
     assert "  file: organs.nii.gz" in text
     assert "3: soft_tissue   # guessed: its name says nothing" in text
@@ -58,15 +51,15 @@ def test_labels_beside_a_ct_are_a_scene_with_a_body(tmp_path: Path) -> None:
 
 
 def test_a_mesh_beside_labels_is_in_their_unit(tmp_path: Path) -> None:
-    save(tmp_path, "organs.nii.gz", organs())
+    save(tmp_path / "organs.nii.gz", organs())
     trimesh.creation.icosphere(2, radius=20).export(tmp_path / "kidney.stl")  # 40 mm, which alone would be 400
     assert "\nunit: mm   #" in proposed(tmp_path)
 
 
 def test_the_body_in_another_image_is_above_otsus_threshold(tmp_path: Path) -> None:
     values = image(organs(), 100, 600)
-    save(tmp_path, "mr.nii", values)
-    save(tmp_path, "organs.nii", organs())
+    save(tmp_path / "mr.nii", values)
+    save(tmp_path / "organs.nii", organs())
     text = proposed(tmp_path)
     (line,) = [line for line in text.splitlines() if "body:" in line]
     assert float(line.split("above: ")[1].split(",")[0]) == pytest.approx(threshold_otsu(values[::4, ::4]), rel=0.01)
@@ -75,7 +68,7 @@ def test_the_body_in_another_image_is_above_otsus_threshold(tmp_path: Path) -> N
 
 
 def test_organs_without_a_body_are_named_as_such(tmp_path: Path) -> None:
-    save(tmp_path, "organs.nii", organs())
+    save(tmp_path / "organs.nii", organs())
     filled = f"# Labels fill {100 * (organs() > 0).mean():.0f} % of the volume, and the rest is gel: name an image as"
     assert filled in proposed(tmp_path)
     assert len(load_scene(tmp_path).structures) == 2
@@ -97,34 +90,34 @@ def test_segments_of_3d_slicer_are_known_by_their_names(tmp_path: Path) -> None:
 
 
 def test_many_labels_without_names_are_those_of_totalsegmentator(tmp_path: Path) -> None:
-    labels = np.zeros((40, 36, 30), np.uint8)
-    for k in range(1, 26):
-        labels[1 + 3 * (k % 13) : 3 + 3 * (k % 13), 4 + 14 * (k // 13) : 12 + 14 * (k // 13), 5:25] = k
-    save(tmp_path, "all.nii", labels)
-    assert "tissues: totalsegmentator   # guessed: 25 labels without names" in proposed(tmp_path)
+    save(tmp_path / "all.nii", blocks([*range(1, 25), 110]))
+    assert "tissues: totalsegmentator   # guessed: 25 labels without names, the last is 110" in proposed(tmp_path)
     assert "spleen" in {s.mesh.metadata["name"] for s in load_scene(tmp_path).structures}
+    labels = validate_scene_folder(tmp_path).labels
+    assert labels is not None
+    assert labels.guessed == "all.nii names no label, so its numbers are taken for TotalSegmentator's of version 2"
 
 
 def test_a_mask_and_an_image_with_gaps_beside_labels_do_not_mislead(tmp_path: Path) -> None:
     values = image(organs(), -1000, 30)
     values[0, 0] = np.nan
-    save(tmp_path, "ct.nii", values)
-    save(tmp_path, "mask.nii", (organs() > 0).astype(np.uint8))
-    save(tmp_path, "organs.nii", organs())
+    save(tmp_path / "ct.nii", values)
+    save(tmp_path / "mask.nii", (organs() > 0).astype(np.uint8))
+    save(tmp_path / "organs.nii", organs())
     text = proposed(tmp_path)
     assert "  file: organs.nii" in text
     assert "body: {file: ct.nii, above: -300" in text
 
 
 def test_meshes_beside_a_volume_without_labels_are_still_proposed(tmp_path: Path) -> None:
-    save(tmp_path, "ct.nii", image(organs(), -1000, 30))
+    save(tmp_path / "ct.nii", image(organs(), -1000, 30))
     trimesh.creation.icosphere(1, radius=60).export(tmp_path / "liver.stl")
-    assert f"  # left out: {tmp_path} has no labels; " in proposed(tmp_path)
+    assert "  # left out: ct.nii: it has no labels but holds " in proposed(tmp_path)
     assert [s.tissue.name for s in load_scene(tmp_path).structures] == ["liver"]
 
 
 @pytest.mark.parametrize("values", [image(organs(), 0, 99), np.zeros((9, 9, 9), np.uint8), -organs().astype(np.int16)])
 def test_a_volume_without_labels_is_refused(tmp_path: Path, values: np.ndarray) -> None:
-    save(tmp_path, "image.nii", values)
-    with pytest.raises(ValueError, match=r"scene\.folder: .* has no labels; allowed are up to 128 whole numbers"):
+    save(tmp_path / "image.nii", values)
+    with pytest.raises(ValueError, match=r"scene\.folder: .*image\.nii: it has no labels but holds .*; allowed"):
         proposed_scene(tmp_path)

@@ -12,7 +12,7 @@ from ablate.analysis.components import Component
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import (
     axis_title,
-    draw_resimulation,
+    draw_baselines,
     house_style,
     metric_panels,
     one_legend,
@@ -20,7 +20,7 @@ from ablate.analysis.figures.style import (
     shown_name,
 )
 from ablate.analysis.results import StudyResults
-from ablate.analysis.scored import REFERENCE, RESIMULATION
+from ablate.analysis.scored import BASELINE_NAMES, REFERENCE, RESIMULATION
 from ablate.analysis.statistics.paired import aligned_differences
 from ablate.metrics import Shown, shown_in
 
@@ -75,9 +75,10 @@ def boxplot_panels(
     shown: dict[str, dict[str, np.ndarray]] = {}
     for metric in metrics:
         differences = _finite_differences(per_image, metric, reference)
-        if set(differences) - {RESIMULATION}:
+        if set(differences) - set(BASELINE_NAMES):
             shown[metric] = differences
-    networks = list(dict.fromkeys(name for by_variant in shown.values() for name in by_variant if name != RESIMULATION))
+    named = dict.fromkeys(name for by_variant in shown.values() for name in by_variant)
+    networks = [name for name in named if name not in BASELINE_NAMES]
     if not networks:
         return []
     with house_style():
@@ -104,9 +105,10 @@ def _finite_differences(per_image: pd.DataFrame, metric: str, reference: str) ->
 
 def _draw_boxes(axes: Axes, metric: str, differences: Mapping[str, np.ndarray], places: Mapping[str, int]) -> None:
     if RESIMULATION in differences:
-        lower, middle, upper = np.quantile(differences[RESIMULATION], [0.25, 0.5, 0.75])
-        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0)
-        draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
+        lower, upper = np.quantile(differences[RESIMULATION], [0.25, 0.75])
+        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0, label=f"{RESIMULATION}, quartiles")
+    medians = {name: float(np.median(differences[name])) for name in BASELINE_NAMES if name in differences}
+    draw_baselines(axes, metric, medians, ", median")
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     axes.boxplot([differences[name] for name in places], positions=list(places.values()), **BOX_STYLE)
 

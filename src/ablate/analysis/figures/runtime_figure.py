@@ -15,11 +15,11 @@ from ablate.analysis.components import Component
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import (
     PAGE_IN,
+    baseline_line,
     colour_of,
     house_style,
     legend_entries,
     new_figure,
-    resimulation_line,
     save_figure,
     shown_name,
 )
@@ -131,7 +131,7 @@ def _draw_panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | No
     fair = points[points["series"].isin([*runs, OTHER_SPECKLE])]
     _draw_front(axes, points if fair.empty else fair, metric)
     if floor is not None:
-        axes.axhline(floor, lw=0.9, **resimulation_line(metric))
+        axes.axhline(floor, lw=0.9, **baseline_line(metric))
     for (name, anchor), line in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):
         axes.axvline(anchor, color="#999999", ls=line, lw=0.9, label=f"paper, {name}: {anchor:.0f} ms, unknown GPU")
     axes.set(xscale="log", xlabel="median time, ms/frame", ylabel=metric_of(metric).title)

@@ -3,14 +3,13 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import (
     axis_title,
-    draw_resimulation,
+    draw_baselines,
     house_style,
     metric_panels,
     one_legend,
@@ -18,7 +17,7 @@ from ablate.analysis.figures.style import (
     shown_name,
 )
 from ablate.analysis.results import StudyResults
-from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, ordered_variants
+from ablate.analysis.scored import REFERENCE, finite_values, is_network, ordered_variants
 from ablate.metrics import Shown, shown_in
 
 
@@ -30,7 +29,7 @@ def seed_plot(
     reference: str = REFERENCE,
     components: Sequence[Component] = (),
 ) -> list[Path]:
-    """Draw one ring a training at its mean over the test frames of which all have a value, with the re-simulation.
+    """Draw one ring a training at its mean over the test frames of which all have a value, with the baselines.
 
     The grey band is the range of the reference's trainings.
 
@@ -53,13 +52,13 @@ def seed_plot(
         A PNG and a PDF; none without a network.
     """
     values = finite_values(per_image, scalars)
-    networks = values[values["variant"] != RESIMULATION]
+    networks = values[is_network(values["variant"])]
     shown = [metric for metric in metrics if metric in set(networks["metric"])]
     if not shown:
         return []
     rows = ordered_variants(list(networks["variant"]), reference)
     means = networks.groupby(["metric", "variant", "seed"])["value"].mean()
-    floors = values[values["variant"] == RESIMULATION].groupby("metric")["value"].mean()
+    baselines = values[~is_network(values["variant"])].groupby(["metric", "variant"])["value"].mean()
     with house_style():
         figure, panels = metric_panels(shown, [shown_name(row, components) for row in rows], 4)
         for axes, metric in zip(panels, shown, strict=True):
@@ -72,7 +71,8 @@ def seed_plot(
                 axes.plot([scores.mean()], [place], "|", ms=9, color="#0072B2", mew=1.8, label="mean", zorder=1)
                 if variant == reference:
                     axes.axvspan(scores.min(), scores.max(), color="#E3E3E3", zorder=0, label=f"range of {reference}")
-            draw_resimulation(axes, metric, floors.get(metric, np.nan))
+            if metric in baselines.index:
+                draw_baselines(axes, metric, baselines[metric].to_dict())
             axes.set_xlabel(axis_title(metric))
         one_legend(figure, panels, 5)
         return save_figure(figure, stem)

@@ -1,7 +1,7 @@
 """One look for all figures: paper widths, 8 pt, colours that survive grey print, names, and a panel a metric."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
@@ -16,8 +16,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from ablate.analysis.components import Component
-from ablate.analysis.scored import REFERENCE
+from ablate.analysis.scored import REFERENCE, RESIMULATION
 from ablate.metrics import Direction, Resimulation, metric_of
+from ablate.metrics.metric import FORMULA
 from ablate.storage import written_whole
 
 PAGE_IN = 7.16  # width of a page of an IEEE paper, inches
@@ -31,6 +32,7 @@ HINTS = {Direction.higher: "better →", Direction.lower: "← better", Directio
 # Okabe and Ito (2008), told apart by the colour-blind, from dark to light so that the order also holds in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999999", "#F0E442")
 FLOOR_COLOUR = "#444444"
+FORMULA_COLOUR = "#D55E00"
 
 _RULES: Any = mpl.rc_params_from_file(Path(__file__).with_name("house.mplstyle"), use_default_template=False)
 
@@ -128,14 +130,16 @@ def axis_title(metric: str, shown: str = "{}") -> str:
     return f"{shown.format(entry.label)}\n{', '.join(below)}"
 
 
-def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, Any]:
-    """How a figure draws the re-simulation: dashed for a floor, dotted for a level, as one entry of the legend."""
+def baseline_line(metric: str, baseline: str = RESIMULATION, after: str = "") -> dict[str, Any]:
+    """How a figure draws a baseline, as one entry of the legend; re-simulation is dashed for a floor, else dotted."""
+    if baseline == FORMULA:
+        return {"color": FORMULA_COLOUR, "ls": "-.", "label": f"{baseline}{after}"}
     style = "--" if metric_of(metric).resimulation is Resimulation.floor else ":"
-    return {"color": FLOOR_COLOUR, "ls": style, "label": f"{name} (dashed: floor, dotted: level)"}
+    return {"color": FLOOR_COLOUR, "ls": style, "label": f"{baseline}{after} (dashed: floor, dotted: level)"}
 
 
-def draw_resimulation(axes: Axes, metric: str, value: float, name: str = "re-simulation") -> None:
-    """Draw the re-simulation as a vertical line where it is finite.
+def draw_baselines(axes: Axes, metric: str, values: Mapping[str, float], after: str = "") -> None:
+    """Draw the baselines as vertical lines where they are finite.
 
     Parameters
     ----------
@@ -143,13 +147,14 @@ def draw_resimulation(axes: Axes, metric: str, value: float, name: str = "re-sim
         Of a panel.
     metric : str
         Of the panel.
-    value : float
-        What the re-simulation scores, in units of the metric.
-    name : str
-        In the legend.
+    values : mapping of str to float
+        What each scores, in units of the metric.
+    after : str
+        What stands behind their names in the legend.
     """
-    if np.isfinite(value):
-        axes.axvline(value, lw=1.0, zorder=1, **resimulation_line(metric, name))
+    for baseline, value in values.items():
+        if np.isfinite(value):
+            axes.axvline(value, lw=1.0, zorder=1, **baseline_line(metric, baseline, after))
 
 
 def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:

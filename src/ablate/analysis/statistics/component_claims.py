@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, finite_values, judged_metrics, ordered_variants
+from ablate.analysis.scored import LEVEL, REFERENCE, finite_values, is_network, judged_metrics, ordered_variants
 from ablate.analysis.statistics.paired import holm, where_known
 
 FEWEST_SEEDS = 3
@@ -47,7 +47,7 @@ def seed_claims(
     alone), p, p_holm.
     """
     values = finite_values(per_image, scalars)
-    values = values[values["variant"] != RESIMULATION]
+    values = values[is_network(values["variant"])]
     means = values.groupby(["metric", "variant", "seed"])["value"].mean()
     rows = []
     for metric in judged_metrics(list(values["metric"])):

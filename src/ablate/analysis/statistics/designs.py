@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import stats
 
 from ablate.analysis.components import short_keys
-from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics
+from ablate.analysis.scored import REFERENCE, finite_values, is_network, judged_metrics
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
 from ablate.analysis.statistics.paired import holm, where_known
 
@@ -230,7 +230,7 @@ def run_means(
     Columns are metric, variant, seed, data (empty where there is one data set), value, and the design's factors.
     """
     values = finite_values(per_image, scalars)
-    values = values[values["variant"] != RESIMULATION]
+    values = values[is_network(values["variant"])]
     if design is not None:
         values = values[values["variant"].isin(design.cells.index)]
     if "data" not in values:

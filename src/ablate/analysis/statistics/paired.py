@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
+from ablate.analysis.scored import LEVEL, REFERENCE, every_frame, is_network, ordered_metrics, ordered_variants
 
 PAIRED_COLUMNS = (
     "variant",
@@ -232,8 +232,8 @@ def aligned_differences(per_image: pd.DataFrame, metric: str, reference: str = R
 def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples: int = 2000) -> pd.DataFrame:
     """Paired differences of every variant to the reference, in every metric; empty if it is missing or alone.
 
-    Holm's correction runs over all networks and metrics together; the re-simulation is no network and has a family of
-    its own. Metrics without one finite pair are left out. `per_image` is as for `comparison_table`; `resamples` are
+    Holm's correction runs over all networks and metrics together; baselines are no networks and have a family of
+    their own. Metrics without one finite pair are left out. `per_image` is as for `comparison_table`; `resamples` are
     those of the bootstrap over sites.
 
     Columns are variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
@@ -253,7 +253,7 @@ def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples:
             rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
     table = pd.DataFrame(rows, columns=["variant", "reference", "metric", *PairedDifference.__annotations__])
     table = table.rename(columns={"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"})[list(PAIRED_COLUMNS)]
-    family = table["variant"] == RESIMULATION
+    family = is_network(table["variant"])
     for p in ("p_holm", "p_sites_holm"):
         table[p] = table.groupby(family)[p].transform(lambda values: holm(values.to_numpy()))
     order = ordered_variants(list(table["variant"]), reference)

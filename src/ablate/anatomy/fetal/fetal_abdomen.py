@@ -83,7 +83,8 @@ def _build(triangles: int, seed: int) -> Scene:
         *moved(fetus, pregnancy.to_world),
     ]
     tissues = load_tissues()
-    structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in parts)
+    there = [part for part in parts if len(part.mesh.faces)]  # a placenta may have no vessels
+    structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in there)
     return Scene(structures, tissues["coupling_gel"], "fetal_abdomen")
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from mapbox_earcut import triangulate_float64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from skimage.measure import points_in_poly
 
-from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES, read_vtk
-from ablate.setting import naming
+from ablate.anatomy.meshes.mesh_file import read_mesh
 
 logger = logging.getLogger(__name__)
 
@@ -22,23 +23,16 @@ LARGEST_MM = 1.8e18  # coordinates that Embree takes: within +-1.844e18
 NEEDLE = 1e-12  # a triangle of less than this, twice its area over its longest side squared, has no area
 FLAT_MM = 2.5  # an open end may be uneven by this (two CT slices) ...
 FLAT_FRACTION = 0.02  # ... or by this part of its width
+_SHEET_AREA = 1.5  # a flat open piece of less than this, in areas of the caps on it, is a sheet and no flat vessel
 
 
 def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
-    """Read a mesh file of any format that trimesh knows, or VTK's own, join its pieces, and make it usable, in mm.
-
-    Materials and textures are not read.
+    """Read a mesh file of a format of `read_mesh`, join its pieces, and make it usable, in mm.
 
     `metadata["name"]` is the name of the file. Raises ValueError, which names the file, where it cannot be read and
     where `repair` does.
     """
-    path = Path(path)
-    with naming(f"{path}: not readable as a mesh: ", Exception):  # every reader raises its own
-        if path.suffix.lower() in VTK_SUFFIXES:
-            vertices, faces = read_vtk(path)
-        else:
-            mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-            vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    vertices, faces = read_mesh(Path(path))
     return repair(vertices * mm_per_unit, faces, str(path))
 
 
@@ -59,11 +53,15 @@ def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimes
     unique = _fewest_odd_edges(kept[np.sort(first)], _of_odd_count(kept))
     if len(unique) == 0:
         raise ValueError(f"{name}: all its {len(faces)} triangles are degenerate")
-    caps, widths_mm = cap_open_ends(merged, unique, name)
-    # a lone triangle and its cap are copies: both go
-    closed = _of_odd_count(np.concatenate([unique, caps])) if len(caps) else unique
+    solid, sheets_mm = _without_sheets(merged, unique, name)
+    caps, widths_mm = cap_open_ends(merged, solid, name)
+    # a triangle beside a body and its cap are copies: both go
+    closed = _of_odd_count(np.concatenate([solid, caps])) if len(caps) else solid
     if len(closed) == 0:
-        raise ValueError(f"{name}: its {len(faces)} triangles enclose nothing")
+        raise ValueError(f"{name}: its {len(faces)} triangles enclose nothing: they are flat open sheets")
+    if sheets_mm:
+        what = f"{len(sheets_mm)} flat open sheets of up to {max(sheets_mm):.1f} mm, which enclose nothing"
+        logger.warning("%s: left out %s", Path(name).name, what)
     mesh = trimesh.Trimesh(merged, closed, process=False)
     mesh.metadata["name"] = Path(name).name
     if len(closed) != len(faces):
@@ -135,6 +133,35 @@ def odd_edges(faces: np.ndarray) -> np.ndarray:
     return np.stack([keys // span, keys % span], axis=1)
 
 
+def _without_sheets(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, list[float]]:
+    """The faces (m, 3) without the open pieces that are as flat as a cap on them, and the widths of these pieces, mm.
+
+    A piece is what hangs together by vertices. Closed by a cap, such a sheet would lie on it.
+    """
+    rims = odd_edges(faces)
+    if len(rims) == 0:
+        return faces, []
+    ends = faces[:, :2].ravel(), faces[:, 1:].ravel()
+    links = coo_array((np.ones(2 * len(faces), bool), ends), shape=(len(vertices),) * 2)
+    piece = connected_components(links, directed=False)[1]
+    order = np.argsort(piece[faces[:, 0]], kind="stable")
+    ordered = piece[faces[order, 0]]
+    stays, widths = np.ones(len(faces), bool), []
+    for number in np.unique(piece[rims[:, 0]]):
+        own = order[slice(*np.searchsorted(ordered, (number, number + 1)))]
+        long, wide, thick = np.ptp(principal_axes(vertices[np.unique(faces[own])])[0], axis=0)
+        if thick <= FLAT_FRACTION * wide:
+            caps = cap_open_ends(vertices, faces[own], name)[0]
+            if _area(vertices, faces[own]) < _SHEET_AREA * _area(vertices, caps):
+                stays[own] = False
+                widths.append(float(long))
+    return faces[stays], widths
+
+
+def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    return float(trimesh.triangles.area(vertices[faces]).sum())
+
+
 def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, tuple[float, ...]]:
     """Triangles (k, 3) that close every flat open end of faces (m, 3) with vertices (n, 3), and the ends' widths, mm.
 
@@ -201,19 +228,24 @@ def principal_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _nested(
     vertices: np.ndarray, loops: list[np.ndarray], widths: Sequence[float], planes: Sequence[np.ndarray]
 ) -> list[list[int]]:
-    """Groups of one outer loop and the loops directly inside it, on the same plane."""
-    order = sorted(range(len(loops)), key=lambda i: -widths[i])
-    parents: dict[int, list[int]] = {}
-    for rank, inner in enumerate(order):
-        point = vertices[loops[inner]]
-        parents[inner] = [
+    """Groups of one outer loop and the loops directly inside it, on the same plane.
+
+    A loop lies in the narrowest of those around it. Planes a little apart make "on the same plane" no equivalence: the
+    loops around a loop's own outer one may be too far from it.
+    """
+    depth: dict[int, int] = {}
+    groups: dict[int, list[int]] = {}
+    for inner in sorted(range(len(loops)), key=lambda i: -widths[i]):
+        points = vertices[loops[inner]]
+        around = [
             outer
-            for outer in order[:rank]
-            if abs(planes[outer][2] @ (point[0] - vertices[loops[outer]].mean(axis=0))) <= FLAT_MM
-            and points_in_poly(point[:1] @ planes[outer][:2].T, vertices[loops[outer]] @ planes[outer][:2].T)[0]
+            for outer in depth
+            if abs(planes[outer][2] @ (points[0] - vertices[loops[outer]].mean(axis=0))) <= FLAT_MM
+            and points_in_poly(points @ planes[outer][:2].T, vertices[loops[outer]] @ planes[outer][:2].T).mean() > 0.5
         ]
-    groups = {i: [i] for i in order if len(parents[i]) % 2 == 0}
-    for inner, around in parents.items():
-        if len(around) % 2 == 1:
-            groups[max(around, key=lambda i: len(parents[i]))].append(inner)
+        depth[inner] = 1 + depth[around[-1]] if around else 0
+        if depth[inner] % 2:
+            groups[around[-1]].append(inner)
+        else:
+            groups[inner] = [inner]
     return list(groups.values())

@@ -1,5 +1,6 @@
 """Meshes in VTK's own formats, as 3D Slicer and ParaView save them: .vtk and .vtp."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -34,15 +35,24 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         reader.SetFileName(str(path))
         reader.Update()
         surface = reader.GetOutput()
-        if "ERROR" in complaints.GetOutput():
+        if "error" in complaints.GetOutput().lower():  # of what a file lacks, some are only warnings
             raise ValueError(_reason(complaints.GetOutput()))
-        for cells in (surface.GetVerts(), surface.GetLines(), surface.GetPolys(), surface.GetStrips()):
+        parts = {"VERTICES": surface.GetVerts(), "LINES": surface.GetLines()}
+        parts |= {"POLYGONS": surface.GetPolys(), "TRIANGLE_STRIPS": surface.GetStrips()}
+        least = 0
+        for part, cells in parts.items():
             if cells is None or cells.GetNumberOfCells() == 0:
                 continue
             ends, numbers = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
             in_order = ends[0] == 0 and ends[-1] == len(numbers) and (np.diff(ends) >= 0).all()
             if not (in_order and numbers.min() >= 0 and numbers.max() < surface.GetNumberOfPoints()):
                 raise ValueError("a polygon names a vertex that is not in the file")  # else the filter reads beside it
+            if part == "POLYGONS":
+                least = _fewest_triangles(np.diff(ends), numbers)
+        if path.suffix.lower() == ".vtk":
+            _check_declared(
+                path.read_bytes(), {part: cells.GetNumberOfCells() for part, cells in parts.items() if cells}
+            )
         cut = vtkTriangleFilter()
         cut.SetInputData(surface)
         cut.PassLinesOff()
@@ -54,11 +64,37 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
     triangles = cut.GetOutput()
     if "ERROR" in complaints.GetOutput() or triangles.GetNumberOfPolys() == 0:
         raise ValueError(_reason(complaints.GetOutput()))
+    if triangles.GetNumberOfPolys() < least:
+        raise ValueError("polygons in it cannot be cut into triangles; export it with triangles")
     vertices = vtk_to_numpy(triangles.GetPoints().GetData()).astype(np.float64)
     return vertices, vtk_to_numpy(triangles.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
 
 
+def _fewest_triangles(lengths: np.ndarray, corners: np.ndarray) -> int:
+    """How many triangles polygons of these lengths (m,) have, without corners that one of them names again."""
+    span = int(corners.max()) + 1
+    named = np.unique(np.repeat(np.arange(len(lengths)), lengths) * span + corners) // span
+    return int(np.maximum(np.bincount(named) - 2, 0).sum())
+
+
+def _check_declared(content: bytes, read: dict[str, int]) -> None:
+    """Raise ValueError where a .vtk has other numbers of polygons than it declares, or a part twice.
+
+    VTK reads the last of two.
+    """
+    for part, arrived in read.items():
+        begins = rb"^[ \t]*" + part.encode() + rb"[ \t]+(\d+)[ \t]+\d+[ \t]*\r?\n(OFFSETS)?"
+        found = re.findall(begins, content, re.MULTILINE | re.IGNORECASE)
+        declared = [int(number) - bool(offsets) for number, offsets in found]  # offsets are one more
+        if declared not in ([], [arrived]):
+            what = " and ".join(map(str, declared))
+            raise ValueError(f"{part} in it declares {what} of them, {arrived} can be read")
+
+
 def _reason(output: str) -> str:
     """The first complaint of VTK, without the names of its classes and addresses."""
-    reasons = (line.partition("): ")[2] for line in output.splitlines() if "): " in line)
+    lines = (line.partition("): ")[2] if "): " in line else line for line in output.splitlines())
+    reasons = (
+        line for line in lines if line and not line.startswith(("ERROR: In", "Warning: In", "Generic Warning: In"))
+    )
     return next(reasons, "it holds no polygons; allowed is polygonal data (a surface)")

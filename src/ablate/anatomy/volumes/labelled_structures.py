@@ -21,7 +21,8 @@ from skimage.measure import marching_cubes
 from ablate.anatomy.meshes.repair import repair
 from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, cached_scene
 from ablate.anatomy.tissue import load_tissues
-from ablate.anatomy.volumes.label_map import LABELS_VERSION, LARGEST_LABEL, Body, LabelMap, VolumeFile, slabs
+from ablate.anatomy.volumes.label_map import LABELS_VERSION, LabelMap
+from ablate.anatomy.volumes.label_order import read_order
 from ablate.storage import digest_of_files
 
 BLOCK = 64  # voxels along a side
@@ -166,6 +167,7 @@ def labelled_structures(labels: LabelMap, where: str, cache_dir: Path | None = N
     made_from = {
         "labels": [(label.number, label.name, label.tissue is None) for label in labels.labels],
         "above": labels.body and labels.body.above,
+        "masks": labels.has_masks,
         "files": digest_of_files(labels.files),
         "version": [LABELS_VERSION, ANATOMY_VERSION],  # the second is that of mesh repair, too
     }
@@ -187,73 +189,3 @@ def _surfaces(labels: LabelMap, where: str) -> Scene:
         structures.append(Structure(repair(world, faces, name), any_tissue))
         logger.info("%s: %s has %d triangles", volume.path.name, name, len(structures[-1].mesh.faces))
     return Scene(tuple(structures), any_tissue, volume.path.name)
-
-
-def read_order(labels: LabelMap, where: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Which structure each voxel belongs to, (x, y, z) uint8, 1 and up in the order of their names, 0 for none."""
-    kept = [label for label in labels.labels if label.tissue is not None]
-    first = 2 if labels.body else 1
-    places = np.zeros(LARGEST_LABEL + 1, np.uint8)
-    for place, label in enumerate(kept, start=first):
-        places[label.number] = place
-    order = np.zeros(labels.volume.shape, np.uint8, order="F")
-    counts = np.zeros(LARGEST_LABEL + 1, np.int64)
-    for part, values in slabs(labels.volume):
-        numbers = _whole_numbers(values, labels.volume, where)
-        counts += np.bincount(numbers.ravel(order="K"), minlength=len(counts))
-        order[:, :, part] = places[numbers]
-    _check_counts(counts, labels, where)
-    if labels.body:
-        _add_body(order, labels.body, where)
-    return order, tuple(name for name, _ in labels.structures)
-
-
-def _whole_numbers(values: np.ndarray, volume: VolumeFile, where: str) -> np.ndarray:
-    """Values as labels, uint16."""
-    if values.dtype.kind not in "biuf":
-        raise ValueError(f"{where}.file: {volume.path} holds {values.dtype}; labels are whole numbers")
-    for extreme in (values.min(), values.max()):
-        if not 0 <= extreme <= LARGEST_LABEL:  # nan neither
-            raise ValueError(
-                f"{where}.file: {volume.path} holds the value {extreme:g}; allowed are 0 to {LARGEST_LABEL}"
-            )
-    numbers = values.astype(np.uint16)
-    if (fractions := values[numbers != values]).size:
-        raise ValueError(f"{where}.file: {volume.path} holds the value {fractions[0]:g}; labels are whole numbers")
-    return numbers
-
-
-def _check_counts(counts: np.ndarray, labels: LabelMap, where: str) -> None:
-    """Raise ValueError where a label has no tissue, or a tissue no voxel; counts of labels, (65536,)."""
-    present = set(np.flatnonzero(counts[1:]) + 1)
-    if nameless := sorted(present - {label.number for label in labels.labels}):
-        raise ValueError(
-            f"{where}.tissues: {labels.volume.path} has label {', '.join(map(str, nameless[:10]))} without a tissue; "
-            "allowed is a tissue for every label, or null to leave it out"
-        )
-    if not present:
-        raise ValueError(f"{where}.file: {labels.volume.path} has no label, only 0")
-    empty = [label.number for label in labels.labels if label.number not in present]
-    if labels.complete and empty:
-        shown = ", ".join(map(str, sorted(present)[:20]))
-        raise ValueError(f"{where}.tissues.{empty[0]}: no voxel of {labels.volume.path} has this label; it has {shown}")
-
-
-def _add_body(order: np.ndarray, body: Body, where: str) -> None:
-    """Give number 1 to the voxels of the body that no label has; changes `order`.
-
-    The body is the largest connected part above the threshold, which leaves out the table under the patient, and what
-    it encloses in each slice across the body, such as lungs and gas.
-    """
-    mask = order > 0
-    for part, values in slabs(body.image):
-        mask[:, :, part] |= values > body.above
-    numbered, parts = ndimage.label(mask)
-    if parts > 1:
-        mask = numbered == 1 + np.argmax(np.bincount(numbered.ravel(order="K"))[1:])
-    del numbered
-    across = int(np.argmax(np.abs(body.image.affine[2, :3]) / body.image.spacing_mm))
-    for plane, own in zip(np.moveaxis(mask, across, 0), np.moveaxis(order, across, 0), strict=True):
-        own[(own == 0) & ndimage.binary_fill_holes(plane)] = 1
-    if not (order == 1).any():
-        raise ValueError(f"{where}.body.above: no voxel of {body.image.path} is above {body.above:g} and has no label")

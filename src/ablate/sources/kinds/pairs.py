@@ -13,6 +13,7 @@ from tqdm import tqdm
 from ablate import dataset
 from ablate.anatomy import ANATOMY_VERSION, Tissue
 from ablate.dataset import Part, PngFolder, SplitBy
+from ablate.dataset.png_tables import odd_lengths
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
 from ablate.networks import Attenuation, GeneratorSpec, Position, Space, conditions
@@ -104,6 +105,8 @@ class PairFolder:
         order = np.argsort(split, kind="stable")
         tissues = checked.tissues or tuple(Tissue(f"label_{label}") for label in range(1, labels + 1))
         left_out = self._left_out(checked, mask)
+        if twice := _in_two_parts(dataset.picture_digests(checked, mask), split, checked.names):
+            left_out.append(f"nothing, but {twice}")
         tqdm.write(f"{len(numbers)} sites")
         for line in left_out:
             tqdm.write(f"left out: {line}")
@@ -145,6 +148,8 @@ class PairFolder:
         if checked.tissues is None:
             by_number = "the labels are ordered by number, and all count as solid tissue"
             left_out.append(f"tissues: without labels.csv {by_number}")
+        if checked.probe and (odd := odd_lengths(checked.probe)):
+            left_out.append(f"nothing, but fan.yaml has {odd}; all sizes follow it, so it must be in mm, not in cm")
         if checked.probe:
             described = fan_mask(checked.probe, (mask.shape[0], mask.shape[1]))
             unlike = float((described ^ mask).sum() / mask.sum())
@@ -152,6 +157,22 @@ class PairFolder:
                 differ = f"fan.yaml and the images differ in {unlike:.1%} of the fan"
                 left_out.append(f"nothing, but {differ}: beam space is less exact")
         return left_out
+
+
+def _in_two_parts(digests: list[bytes], split: np.ndarray, names: tuple[str, ...]) -> str:
+    """Which frames of validation and test are pictures of another part, pixel by pixel; empty where none is."""
+    found = []
+    earlier: dict[bytes, int] = {}
+    for part in (Part.train, Part.validation, Part.test):
+        of_part = np.flatnonzero(split == part)
+        same = [int(i) for i in of_part if digests[i] in earlier]
+        if same:
+            example = f"{names[same[0]]} is {names[earlier[digests[same[0]]]]}"
+            found.append(f"{len(same)} of {len(of_part)} {part.name} frames, the first of which {example}")
+        for i in of_part:
+            earlier.setdefault(digests[i], int(i))
+    where = ", and ".join(found)
+    return where and f"the same pictures are in two parts: {where}; scores tell nothing new about them"
 
 
 def _check_reads(spec: GeneratorSpec, label: str, checked: PngFolder) -> None:
