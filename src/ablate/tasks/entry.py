@@ -138,12 +138,17 @@ def run_sweep(
         code = _do(made, launch)
     except Exception as error:
         raise _Raised(error) from error
-    if code:
+    is_search = made[0].settings.objective is not None and made[0].settings.task is Task.study
+    if code and not is_search:
         raise SystemExit(code)
-    returns = [JobReturn(overrides=line, status=JobStatus.COMPLETED) for line in lines]
-    for job, returned in zip(made, returns, strict=True):
-        returned.return_value = objective(job)
-    return returns
+    return [_returned(job, line, failed=is_search and not job.finished) for job, line in zip(made, lines, strict=True)]
+
+
+def _returned(job: Job, line: Sequence[str], failed: bool) -> JobReturn:
+    """What a sweeper is told of a job; of one that failed, `max_failure_rate` decides whether the search goes on."""
+    returned = JobReturn(overrides=line, status=JobStatus.FAILED if failed else JobStatus.COMPLETED)
+    returned.return_value = NotFinishedError(f"{job.name}: not finished") if failed else objective(job)
+    return returned
 
 
 def objective(job: Job) -> float | None:
