@@ -32,6 +32,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Asked:
             return 0
 
         monkeypatch.setattr(entry, "_do", do)
+        monkeypatch.chdir(tmp_path)  # a primary file that was saved has Hydra's own folder, outputs/
         assert execute(["--config-dir", str(tmp_path), *arguments, "task=plan"]) == 0
         return found
 
