@@ -82,7 +82,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["runs_dir="], r"runs_dir=''?: allowed are "),
     (["trainin.steps=3"], r"unknown key 'trainin.*did you mean 'training'"),
     (["-m", "variant=sa2h", "model.labels=1,3"], r"unknown key 'model\.labels'"),  # it follows from `encoding`
-    (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
+    (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'training\.steps'\? allowed in training: "),
     (["+colour=blue"], r"unknown key 'colour'"),
     (["reference=sa9h"], r"reference=sa9h: allowed are .*sa2h"),
     (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
@@ -114,7 +114,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (['study_name="o\'neill"'], r"study_name=.*neill.*: allowed are"),
     (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),
     ([f"runs_dir={300 * 'x'}"], r"runs_dir='x+\.\.\.x+': File name too long"),
-    (["study_name=été"], r"study_name: Hydra cannot read the value 'été'; give it in quotes: \"study_name='\.\.\.'\""),
+    (["-m", "study_name=été,a"], r"study_name: Hydra cannot read the value 'été,a'; give it in quotes: \"study_name='"),
     (["tracking.uri=nonsense"], r"tracking\.uri='nonsense': allowed are http://, .*sqlite:///"),
     (["metrics=[[psnr]]"], r"metrics=\['psnr'\]: is no name; allowed are"),
     (["metrics=[leaves.f]"], r"metrics=leaves\.f: SystemExit: 0; allowed are"),

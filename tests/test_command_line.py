@@ -214,3 +214,14 @@ def test_a_screen_without_the_signs_of_a_table_is_written_to() -> None:
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=ascii_only, timeout=60)
     assert (done.returncode, done.stdout) == (0, "20.1 \\xb1 0.3, \\u03c7\\xb2\n")
+
+
+@pytest.mark.parametrize("words", [["--version"], ["task=plan"], ["-m", "seed=0,1"]])
+def test_a_current_folder_that_was_removed_is_said_in_one_line(words: list[str], tmp_path: Path) -> None:
+    script = 'mkdir gone && cd gone && rmdir ../gone && "$0" -m ablate "$@"'
+    command = ["sh", "-c", script, sys.executable, *words]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        "ablate: the current folder was removed; type cd and a folder that exists, then the command again"
+    ]

@@ -1,12 +1,14 @@
 """Files that are written whole or not at all."""
 
 import re
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
 import ablate
-from ablate.storage import digest_of_files, read_json, remove_partial, written_whole
+from ablate.storage import digest_of_files, held, read_json, remove_partial, written_whole
 
 # Calls that write a file in place; what they are given must be the name that `written_whole` gives.
 WRITERS = re.compile(r"\.(write_text|write_bytes|to_csv|to_parquet|savefig)\(|\.(save|savez|savez_compressed)\(")
@@ -79,3 +81,26 @@ def test_the_digest_of_files_tells_content_and_name_and_passes_over_what_is_miss
     before = digest_of_files([one, other])
     other.write_text("b")
     assert digest_of_files([one, other]) != before
+
+
+def test_a_lock_that_another_has_is_waited_for_and_named_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, told, done = tmp_path / ".lock", [], []
+
+    def second() -> None:
+        with held(path, "trains sa2h/seed0"):
+            done.append(True)
+
+    with held(path, "trains sa2h/seed0"):
+        assert capsys.readouterr().err == ""
+        waiting = threading.Thread(target=second)
+        waiting.start()
+        until = time.monotonic() + 10
+        while not told and time.monotonic() < until:
+            told += capsys.readouterr().err.splitlines()
+            time.sleep(0.01)
+        assert not done
+    waiting.join(10)
+    assert told == [f"waiting for another process, which trains sa2h/seed0 ({tmp_path})"]
+    assert done

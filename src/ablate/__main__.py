@@ -29,7 +29,11 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):  # a locale may know no ± and no χ²
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    if not sys.flags.safe_path and (here := str(Path.cwd())) not in sys.path:
+    try:
+        here = str(Path.cwd())
+    except FileNotFoundError:
+        sys.exit("ablate: the current folder was removed; type cd and a folder that exists, then the command again")
+    if not sys.flags.safe_path and here not in sys.path:
         sys.path.insert(0, here)  # of `python -m ablate` it is the first; so a module of the user's is found by both
     try:
         with _stopping_at_signals():

@@ -5,11 +5,13 @@ Names and addresses, which several rooms share, have checks of their own.
 """
 
 import dataclasses
+import os
 import re
 import reprlib
 import sys
 import types
-from collections.abc import Collection, Iterator
+import unicodedata
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
@@ -36,6 +38,7 @@ class Declaration:
     choices: tuple[str, ...] = ()  # texts that are allowed; empty where any is, and for an enum, which has its own
     unit: str = ""
     incidental: bool = False  # decides no result: devices, threads, paths, how often something is reported
+    is_path: bool = False  # of a file or folder; `~` at its beginning is the home of the user
 
     def range(self) -> str:
         """The range in words, such as `from 0 and below 1`; empty where there is none."""
@@ -123,13 +126,24 @@ def check_settings(values: Any) -> None:
 
     Called first in its `__post_init__`. A value that is not allowed is a ValueError `name=value: allowed are ...`.
     """
-    for one in _declared(values.__class__):
-        value = getattr(values, one.name)
+    given = {one.name: getattr(values, one.name) for one in _declared(values.__class__)}
+    for name, value in check_values(values.__class__, given).items():
+        object.__setattr__(values, name, value)
+
+
+def check_values(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the values that a dataclass declares, as their types; a ValueError as of `check_settings`."""
+    checked = {}
+    for one in _declared(cls):
+        if one.name not in values:
+            continue
+        checked[one.name] = value = values[one.name]
         if value is not None or not one.optional:
             try:
-                object.__setattr__(values, one.name, _checked(one, value))
+                checked[one.name] = _checked(one, value)
             except ValueError:
                 raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
+    return checked
 
 
 def _checked(one: Setting, value: Any) -> Any:
@@ -143,7 +157,7 @@ def _checked(one: Setting, value: Any) -> Any:
     if kinds[0] not in (int, float):
         if (one.kind, value) == (str, "") or (one.kind is bool and not isinstance(value, bool)):
             raise ValueError
-        return value
+        return os.path.expanduser(value) if one.declared.is_path and isinstance(value, str) else value  # noqa: PTH111
     if not isinstance(values, (tuple, list)) or len(values) != len(kinds):
         raise ValueError
     if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(values, kinds, strict=True)):
@@ -211,9 +225,23 @@ def check_name(key: str, value: str, reserved: Collection[str] = ()) -> None:
     """
     if not re.fullmatch(r"\w([\w.+ -]*[\w.+-])?", value) or len(value.encode(errors="replace")) > LONGEST_NAME:
         allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-, the first a letter, a digit or _"
-        raise ValueError(f"{key}={shown(value)}: allowed are {allowed}")
+        raise ValueError(f"{key}={shown(value)}: allowed are {allowed}{_not_allowed(value)}")
     if value.partition(".")[0].lower() in reserved:
         raise ValueError(f"{key}={value}: the names {', '.join(sorted(reserved))} are taken by other folders")
+
+
+def composed_letters(name: str) -> str:
+    """A name with its letters in one piece (Unicode's NFC): macOS keeps `ü` as `u` and a mark that combines with it."""
+    return unicodedata.normalize("NFC", name)
+
+
+def _not_allowed(name: str) -> str:
+    """The first character that no name may hold, by its number where it cannot be seen alone; empty without one."""
+    odd = next(iter(re.sub(r"[\w.+ -]", "", name)), "")
+    if not odd:
+        return ""
+    seen = odd.isprintable() and not unicodedata.combining(odd)
+    return f"; not {odd!r}" if seen else f"; not U+{ord(odd):04X} (Unicode: {unicodedata.name(odd, 'no name').lower()})"
 
 
 def check_store(key: str, uri: str) -> None:

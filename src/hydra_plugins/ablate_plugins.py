@@ -6,6 +6,7 @@ Hydra imports this file whenever it starts, so what the plugins need is imported
 from collections.abc import Sequence
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
@@ -60,10 +61,17 @@ class CellSweeper(Sweeper):
 
         Each job is told which keys are swept, because its label names them, wherever it is composed.
         """
-        from ablate.command.compose import cells, swept_keys
+        from ablate.command.compose import cells, refuse_other_launcher, swept_keys
+        from ablate.command.composed import composed
 
+        HydraConfig.instance().set_config(self.config)  # as Hydra does for a job
         jobs = cells(self.config.hydra.sweeper.params, arguments)
-        swept = ",".join(sorted(swept_keys(jobs, arguments)))
+        keys = swept_keys(jobs, arguments)
+        swept = ",".join(sorted(keys))
+        if not self.launcher.__module__.startswith(__name__):  # ours looks at its jobs before it starts one
+            for job in jobs:
+                chosen = [word for word in job if word.partition("=")[0] in keys]
+                refuse_other_launcher(self.config, composed([*self.config.hydra.overrides.hydra, *job]), chosen)
         jobs = [[*job, f"hydra.sweeper.swept=[{swept}]"] for job in jobs]
         size = self.max_batch_size or len(jobs)
         batches = []

@@ -14,6 +14,7 @@ from ablate.analysis import preview_figure
 from ablate.analysis.figures import scene_parts
 from ablate.analysis.figures.body_view import draw_body, image_quads
 from ablate.analysis.figures.scene_parts import tissue_colours
+from ablate.analysis.figures.style import house_style
 from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import fan_outline, to_world
@@ -117,3 +118,16 @@ def test_the_figure_holds_body_image_and_segmentation(tmp_path: Path) -> None:
     lower = picture[410:700, 1000:1380]
     muscle = tissue_colours(body().tissues)[1]
     assert (np.abs(lower - muscle).max(axis=-1) < 0.01).mean() > 0.4
+
+
+@pytest.mark.parametrize("name", ["a$\\frac{b$", "$", "$x$", "5 $ or 6 $", "$\\nope$", "$_$"])
+def test_a_dollar_in_a_name_is_a_dollar(name: str) -> None:
+    """Wherever the house's figures write what a user has named."""
+    with house_style():
+        figure = Figure()
+        axes = figure.add_subplot(title=name, xlabel=name)
+        axes.plot([0, 1], label=name)
+        axes.legend()
+        axes.text(0, 0, name)
+        FigureCanvasAgg(figure).draw()
+        assert not axes.title.get_parse_math()

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from ablate.analysis.components import Component
+from ablate.command import checks
 from ablate.command.checks import check
 from ablate.command.compose import jobs_of
 from ablate.settings.study import ConfigurationError
@@ -79,3 +81,16 @@ def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path
     with pytest.raises(ConfigurationError, match=f"batch_size={frames + 1}: more than the {frames} training frames"):
         check_batch(frames + 1)
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("task", ["plan", "study", "simulate"])
+@pytest.mark.parametrize(("metric", "meant"), [("crsp", "did you mean crps? "), ("my_metric", "")])
+def test_a_component_is_judged_by_a_metric_that_there_is(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, task: str, metric: str, meant: str
+) -> None:
+    declared = (Component("mine", "model.noise", metric=metric, band=1.0),)
+    monkeypatch.setattr(checks, "components", lambda: declared)
+    jobs = jobs_of(["preset=tiny", f"task={task}", f"runs_dir={tmp_path}"])
+    said = f"conf/component/mine.yaml: metric={metric}: {meant}allowed are psnr"
+    with pytest.raises(ConfigurationError, match=f"^{re.escape(said)}"):
+        check(jobs)

@@ -9,9 +9,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from hydra.core.utils import JobReturn, JobStatus
 
 from ablate.command.compose import jobs_of
 from ablate.command.launch import VISIBLE, Launch, devices_to_share, start_here
@@ -254,3 +256,24 @@ def test_launchers_of_others_run_each_job_and_then_the_study_is_compared(launche
     study = tmp_path / "runs" / "tiny-fetal"
     assert {path.parent.name.partition("-seed")[0] for path in study.glob("*/trained.json")} == {"sa2h", "sa2h-att"}
     assert (study / "comparison" / "table.csv").exists()
+
+
+def test_a_sweeper_that_searches_is_told_which_trials_failed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Whether the search goes on is the sweeper's to say, as Optuna's `max_failure_rate` does."""
+    returns: list[JobReturn] = []
+    whole = entry.run_sweep
+
+    def told(*arguments: Any) -> list[JobReturn]:
+        returns.extend(whole(*arguments))
+        return returns
+
+    monkeypatch.setattr(entry, "run_sweep", told)
+    monkeypatch.setattr(entry, "_do", lambda *_: 1)
+    words = ["-m", "preset=tiny", "seed=0,1", f"runs_dir={tmp_path}"]
+    assert execute([*words, "objective=val/psnr_fan"]) == 1
+    assert [returned.status for returned in returns] == [JobStatus.FAILED] * 2
+    with pytest.raises(entry.NotFinishedError, match=r"^sa2h/seed0: not finished$"):
+        _ = returns[0].return_value
+    returns.clear()
+    assert execute(words) == 1
+    assert not returns

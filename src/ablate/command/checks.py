@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
 import torch
@@ -12,7 +13,7 @@ from ablate.dataset import label_values
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Family, Space, check_custom
 from ablate.setting import shown
-from ablate.settings.conf import variant_names
+from ablate.settings.conf import components, variant_names
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
 from ablate.sources.source import source_of
 from ablate.study.job import Job
@@ -41,6 +42,7 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             raise ConfigurationError(f"task={task}: pairs made elsewhere have no scene; {scenes}")
         _check_training(job, source.check(job.label), {other.label for other in jobs}, source.has_scene)
         _check_metrics(settings)
+    _check_components(jobs)
     odd = set(str(results)) & {"?", "%"}  # they mean something else in the address of a database
     if odd:
         raise ConfigurationError(f"runs_dir={results}: allowed is a path without {' and '.join(sorted(odd))}")
@@ -83,6 +85,19 @@ def _check_training(job: Job, seen: int, labels: set[str], has_scene: bool) -> N
     known = {*labels, *variant_names(), *(str(t.about.get("label")) for t in trainings_in(s.study_dir))}
     if s.reference not in known:
         raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
+
+
+def _check_components(jobs: Sequence[Job]) -> None:
+    """Check the metrics that judge components: those of a user's are known where the command names them."""
+    known = {*METRICS, *(name for job in jobs for name in choose_metrics(job.settings.metrics))}
+    for component in components():
+        if component.metric is not None and component.metric not in known:
+            meant = get_close_matches(component.metric, known, n=1)
+            hint = f"did you mean {meant[0]}? " if meant else ""
+            allowed = f"allowed are {', '.join(METRICS)}, and one of yours that metrics= names"
+            raise ConfigurationError(
+                f"conf/component/{component.name}.yaml: metric={component.metric}: {hint}{allowed}"
+            )
 
 
 def _check_metrics(s: StudySettings) -> None:

@@ -7,8 +7,9 @@ import pandas as pd
 
 from ablate import networks
 from ablate.anatomy import load_tissues
-from ablate.command.compose import job_of, quoted
+from ablate.command.compose import job_of
 from ablate.command.scale import PAPER_CROP, PAPER_ROWS, paper_levels
+from ablate.command.words import quoted
 from ablate.dataset.encoding import label_values
 from ablate.networks import GeneratorSpec, PatchDiscriminator, Space
 from ablate.networks.spec import Fold, rows_of_a_cell

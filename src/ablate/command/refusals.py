@@ -3,19 +3,21 @@
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 
 from hydra.errors import HydraException, OverrideParseException
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException, ValidationError
 from yaml import YAMLError
 
+from ablate.command.words import with_a_point
 from ablate.extras import installing
 from ablate.setting import shown
-from ablate.settings.conf import conf_folder, keys
+from ablate.settings.conf import conf_folder, keys, unknown_key
 from ablate.settings.study import ConfigurationError
 
 # Launchers that Hydra knows where an extra is installed.
 _EXTRAS = {"joblib": "parallel", "submitit_slurm": "slurm", "submitit_local": "slurm"}
+# Sweepers that Hydra documents, and the packages that have them.
+_SWEEPERS = {name: f"hydra-{name}-sweeper" for name in ("optuna", "nevergrad", "ax")}
 
 
 @contextmanager
@@ -28,14 +30,26 @@ def in_one_line(words: Sequence[str] = ()) -> Iterator[None]:
         raise ConfigurationError(f"{key} must be given: {key}=...") from error
     except OverrideParseException as error:
         raise ConfigurationError(_unreadable(error)) from error
+    except ConfigurationError as error:
+        raise with_hint(error, words) from error
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigurationError(_explained(error)) from error
+        raise with_hint(ConfigurationError(_explained(error)), words) from error
     except (TypeError, ValueError, YAMLError, RecursionError, AttributeError) as error:
         # Hydra's own, where a file of conf/ is named by something that is no text, or cannot be read.
-        if isinstance(error, ConfigurationError):
-            raise
         known = "" if isinstance(error, YAMLError) else _of_a_group(words)  # a YAMLError names file and line
-        raise ConfigurationError(known or _one_line(error)) from error
+        raise with_hint(ConfigurationError(known or _one_line(error)), words) from error
+
+
+def with_hint(error: Exception, words: Sequence[str]) -> Exception:
+    """The refusal of a setting whose number was typed with a comma, with how it is typed; another error as it is."""
+    if isinstance(error, ConfigurationError):
+        for word in words:
+            hint = with_a_point(word)
+            if hint and hint not in str(error) and word.partition("=")[0] in str(error):
+                return ConfigurationError(
+                    f"{error}; a comma separates the values of several jobs: for a number, {hint}"
+                )
+    return error
 
 
 def _unreadable(error: OverrideParseException) -> str:
@@ -64,12 +78,19 @@ def _explained(error: Exception) -> str:
     for launcher, extra in _EXTRAS.items():
         if f"'hydra/launcher/{launcher}'" in str(error):
             return f"hydra/launcher: {launcher} is not installed: {installing(extra)}"
+    for sweeper, package in _SWEEPERS.items():
+        if f"'hydra/sweeper/{sweeper}'" in str(error):
+            return f"hydra/sweeper: {sweeper} is not installed: pip install {package}"
+    if group := re.search(r"No match in the defaults list.\s+To append .* use \+(\S+)$", str(error)):
+        return f"{group[1]}: nothing is chosen of this group yet; type +{group[1]}"
     unknown_choice = r"Could not find '(.+)/([^/]+)'\s+Available options in '.+?':(.*?)\n\s*Config search"
     if choice := re.search(unknown_choice, str(error), re.S):
         return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"
     if several := re.search(r"Ambiguous value for argument '(.*)'", str(error)):
         return f"'{several[1]}' asks for several jobs: add -m"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    if isinstance(cause, ValidationError) and (refused := _of_another_type(cause, str(error))):
+        return refused
     text = _one_line(error).partition("; Config search path")[0]
     if cause is error:
         key = getattr(error, "full_key", None)
@@ -79,20 +100,25 @@ def _explained(error: Exception) -> str:
     return _unknown_key(cause, text) or text.removeprefix("Error merging override ")
 
 
+def _of_another_type(cause: ValidationError, text: str) -> str:
+    """A value that is not of its setting's type, with what is allowed; empty where the setting is not known."""
+    key = str(cause.full_key or "")
+    if key not in keys():
+        return ""
+    typed = re.search(rf"override {re.escape(key)}=(.*)", text) or re.search(r"[vV]alue '(.*?)'", str(cause))
+    value = typed[1] if typed else "..."
+    whole = re.fullmatch(r"[-+]?\d+(\.\d*)?(e\+?\d+)?", value, re.IGNORECASE)
+    hint = f"; type {key}={float(value):.0f}" if keys()[key].kind is int and whole and float(value) % 1 == 0 else ""
+    return f"{key}={value}: allowed are {keys()[key].allowed}{hint}"
+
+
 def _unknown_key(cause: BaseException, text: str) -> str:
     """An unknown key with the nearest known one; empty where the message is about something else."""
     key = str(getattr(cause, "full_key", None) or "")
     is_unknown = r"(?:Key|key) '([^']+)' (?:is not in struct|not in '\w+')"
     if not key or not re.search(is_unknown, f"{text} {_one_line(cause)}"):
         return ""
-    parent, _, last = key.rpartition(".")
-    prefix = f"{parent}." if parent else ""
-    names = sorted({known.removeprefix(prefix).partition(".")[0] for known in keys() if known.startswith(prefix)})
-    if not names:
-        return ""
-    close = get_close_matches(last, names, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
-    return f"unknown key '{key}'{hint} allowed{' in ' + parent if parent else ''}: {', '.join(names)}"
+    return unknown_key(key)
 
 
 def _one_line(error: BaseException) -> str:

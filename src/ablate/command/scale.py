@@ -9,6 +9,7 @@ Where networks know the scatterers, their noise is the lattice: `${noise:inject}
 """
 
 import math
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -58,6 +59,7 @@ def register_resolvers() -> None:
         "noise": lambda by_pixel, *, _root_: str(Noise.body if _knows_scatterers(_root_) else by_pixel),
         "extra_noise": lambda *, _root_: str(ExtraInput.none if _knows_scatterers(_root_) else ExtraInput.noise),
         "png_shape": _png_shape,
+        "home": _home,
         # an image of the probe's fan with so many rows and square pixels
         "fan_shape": lambda rows, *, _root_: list(square_pixels(_probe(_root_), int(rows))),
         # a length in mm, or that of two rows of the image where this is more
@@ -83,12 +85,17 @@ def _probe(root: DictConfig) -> Probe:
     return ConvexProbe()
 
 
+def _home(path: str) -> str:
+    """A path with the user's home in place of a `~` at its beginning, as settings have it."""
+    return os.path.expanduser(path)  # noqa: PTH111  # any text, as it is typed
+
+
 def _png_shape(*, _root_: DictConfig) -> list[int]:
     """The size of the images in `scene.folder`; the paper's where there are none, as that folder is refused later."""
     from ablate.dataset import validate_png_folder
 
     with suppress(OSError, ValueError, TypeError):
-        return list(validate_png_folder(_root_.scene.folder).shape)
+        return list(validate_png_folder(_home(_root_.scene.folder)).shape)
     return list(PAPER_SHAPE)
 
 

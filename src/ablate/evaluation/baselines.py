@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from filelock import FileLock
 
 from ablate.anatomy import Tissue
 from ablate.dataset import Part, noise_seeds
@@ -23,7 +22,7 @@ from ablate.metrics import METRICS, METRICS_VERSION, FeatureKind, Metric
 from ablate.metrics.metric import FORMULA, RESIMULATED
 from ablate.networks import Attenuation, GeneratorSpec, Interfaces, Noise, Space
 from ablate.networks.spec import GRAIN
-from ablate.storage import digest, known_json, write_json
+from ablate.storage import digest, held, known_json, write_json
 
 if TYPE_CHECKING:
     from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
@@ -171,7 +170,7 @@ def _kept_scores(scorer: Scorer, baseline: Baseline, part: Part) -> dict[str, Sc
     folder = scorer.pairs.folder / BASELINES_FOLDER
     folder.mkdir(exist_ok=True)
     files = {name: folder / _file_name(scorer, baseline, part, metric) for name, metric in scorer.metrics.items()}
-    with FileLock(folder / f"{baseline.name}-{part.name}.lock"):
+    with held(folder / f"{baseline.name}-{part.name}.lock", f"scores {baseline.name} on the {part.name} frames"):
         kept = {name: _read_kept(file) for name, file in files.items()}
         of_metrics = {name: scores for name, scores in kept.items() if scores is not None}
         lacking = {name: metric for name, metric in scorer.metrics.items() if name not in of_metrics}

@@ -17,4 +17,6 @@ class EvaluationSettings(Checked):
     timed_frames: int = setting(
         20, "Rounds in which a comparison times a frame; it makes at least 8.", least=1, most=100_000, incidental=True
     )
-    inception: str | None = setting(None, "Path of the network of FID, or `download`; null: no FID.", incidental=True)
+    inception: str | None = setting(
+        None, "Path of the network of FID, or `download`; null: no FID.", incidental=True, is_path=True
+    )

@@ -10,12 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from filelock import FileLock
 from scipy.fft import rfft2
 
 from ablate.metrics.distances import frechet_distance, kernel_distance
 from ablate.metrics.metric import Direction, FeatureKind, Group, Metric, Resimulation, SetDistance, Shown
 from ablate.metrics.patches import as_patches, patches_inside, value_counts
+from ablate.storage import held
 
 PATCH = 48
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
@@ -183,7 +183,7 @@ def inception_file(where: str) -> Path:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ablate"
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / INCEPTION_URL.rpartition("/")[2]
-        with FileLock(path.with_suffix(".lock")):
+        with held(path.with_suffix(".lock"), "downloads the Inception weights"):
             if not path.exists():
                 _download(path)
     else:

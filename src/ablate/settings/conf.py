@@ -3,6 +3,7 @@
 The folder conf/ declares the components that a study switches and the variants, a file each.
 """
 
+from difflib import get_close_matches
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ import yaml
 import ablate
 from ablate.analysis.components import Component
 from ablate.networks.spec import ExtraInput, GeneratorSpec, Noise, inputs
-from ablate.setting import Setting, is_group, naming, settings_of, shown
+from ablate.setting import Setting, check_values, is_group, naming, settings_of, shown
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.settings import PROBES, Probe, probe_from
 
@@ -38,10 +39,12 @@ def build(cls: type[T], values: dict[str, Any], prefix: str = "", stored: bool =
     if stored:
         values = {name: value for name, value in values.items() if name in hints}
     elif unknown:
-        raise ValueError(f"unknown key '{prefix}{unknown[0]}'; allowed: {', '.join(sorted(hints))}")
+        raise ValueError(unknown_key(f"{prefix}{unknown[0]}"))
     for name, value in values.items():
         if isinstance(value, int) and abs(value) >= 2**63:  # neither torch nor NumPy takes it
             raise ValueError(f"{prefix}{name}={shown(value)}: allowed are whole numbers below 2^63")
+    with naming(prefix):  # before groups, which may take a value over, as training.seed=${seed} does
+        check_values(cls, values)
     groups = {k: _group(hints[k], v, f"{prefix}{k}.", stored) for k, v in values.items() if is_group(hints[k])}
     with naming(prefix):
         return cls(**{**values, **groups})
@@ -72,6 +75,35 @@ def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
         else:
             table[prefix + name] = own[name]
     return table
+
+
+def unknown_key(key: str) -> str:
+    """What is said of a key that there is not: the one that is meant, and those beside it."""
+    meant, parent, beside = nearest(key), key.rpartition(".")[0], ", ".join(_beside(key))
+    hint = f"; did you mean '{meant}'?" if meant else ";" if beside else ""
+    return f"unknown key '{key}'{hint}" + (f" allowed{' in ' + parent if parent else ''}: {beside}" if beside else "")
+
+
+def nearest(key: str) -> str:
+    """The known keys that a wrong one may stand for, joined by `or`; empty where none is like it.
+
+    They are those of any group with its last part, or else the most similar one, first of its own group.
+    """
+    known = list(keys())
+    parent, _, last = key.rpartition(".")
+    if alike := [other for other in known if other.rpartition(".")[2] == last]:
+        return " or ".join(alike)
+    if close := get_close_matches(last, _beside(key), n=1):
+        return f"{parent}.{close[0]}".lstrip(".")
+    last_parts = {other.rpartition(".")[2]: other for other in reversed(known)}
+    close = get_close_matches(last, last_parts, n=1, cutoff=0.75)
+    return last_parts[close[0]] if close else ""
+
+
+def _beside(key: str) -> list[str]:
+    """The names of settings and groups in the group of a key."""
+    prefix = key[: key.rfind(".") + 1]
+    return sorted({known.removeprefix(prefix).partition(".")[0] for known in keys() if known.startswith(prefix)})
 
 
 def conf_folder() -> Path:

@@ -19,7 +19,7 @@ from ablate.dataset.encoding import Encoding
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
-from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, setting, shown
+from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, composed_letters, setting, shown
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
 
@@ -78,7 +78,7 @@ class SceneSettings(Checked):
     """Which anatomy."""
 
     kind: str = setting("fetal", "Where scene or pairs come from: a file of conf/scene.")
-    folder: str | None = setting(None, "Folder of your own scene, or of your pairs.")
+    folder: str | None = setting(None, "Folder of your own scene, or of your pairs.", is_path=True)
     triangles: int = setting(675_000, "Triangles of the built-in anatomy.", least=FEWEST_TRIANGLES)
     anatomy_seed: int = setting(0, "Which patient the built-in anatomy is.", least=0)
 
@@ -105,7 +105,9 @@ class DatasetSettings(Checked):
     shard: int = setting(16, "Frames a file.", least=1, most=10_000, incidental=True)
     workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
     # Of poses, what they are decides, not the file's name: see `sources.simulated`.
-    poses: str | None = setting(None, "File of your own poses instead of the scene's grid.", incidental=True)
+    poses: str | None = setting(
+        None, "File of your own poses instead of the scene's grid.", incidental=True, is_path=True
+    )
     format: ExportFormat = setting(
         ExportFormat.png, "What `task=export` writes; with `dicom`, also a cine of `task=render`.", incidental=True
     )
@@ -153,6 +155,7 @@ class TrackingSettings(Checked):
         super().__post_init__()
         if self.uri is not None:
             check_store("uri", self.uri)
+        object.__setattr__(self, "experiment", composed_letters(self.experiment))
         if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
             allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-@/, the first a letter, a digit, _ or /"
             raise ValueError(f"experiment={shown(self.experiment)}: allowed are {allowed}")
@@ -191,17 +194,23 @@ class StudySettings(Checked):
     evaluation: EvaluationSettings = EvaluationSettings()
     tracking: TrackingSettings = TrackingSettings()
     study_name: str | None = setting(None, "Folder of the runs; null is <preset>-<scene name>.", incidental=True)
-    runs_dir: str = setting("runs", "Folder of all results.", incidental=True)
+    runs_dir: str = setting("runs", "Folder of all results.", incidental=True, is_path=True)
     verbose: Verbosity = setting(
         Verbosity.normal, "What the terminal shows of the log of a run: with `quiet`, warnings alone.", incidental=True
     )
     frame: int = setting(0, "The frame that task=preview and task=render show.", incidental=True)
     pose: str | None = setting(
-        None, "File of poses that task=render shows instead; task=view starts at the first.", incidental=True
+        None,
+        "File of poses that task=render shows instead; task=view starts at the first.",
+        incidental=True,
+        is_path=True,
     )
     plane: str | None = setting(None, "Standard plane of scene=fetal to show or to start from.", incidental=True)
     runs: str | None = setting(
-        None, "A run, a study or studies whose generators task=view offers; null is runs_dir.", incidental=True
+        None,
+        "A run, a study or studies whose generators task=view offers; null is runs_dir.",
+        incidental=True,
+        is_path=True,
     )
     viewer: ViewerSettings = ViewerSettings()
 
@@ -212,6 +221,8 @@ class StudySettings(Checked):
             raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render or view")
         if self.runs and self.task is not Task.view:
             raise ValueError(f"runs={self.runs}: allowed with task=view; where results lie is runs_dir")
+        if self.study_name is not None:
+            object.__setattr__(self, "study_name", composed_letters(self.study_name))
         check_name("study_name", self.study, _NO_STUDIES)  # so it is a folder of its own directly below `runs`
 
     @property
@@ -219,7 +230,7 @@ class StudySettings(Checked):
         """The kind of the scene, or the name of its folder, cut, and with `_` for what no name of a study may hold."""
         if self.scene.folder is None:
             return self.scene.kind
-        name = re.sub(r"[^\w.+ -]", "_", Path(self.scene.folder).resolve().name)
+        name = re.sub(r"[^\w.+ -]", "_", composed_letters(Path(self.scene.folder).resolve().name))
         return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
 
     @property

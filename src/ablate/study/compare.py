@@ -8,7 +8,6 @@ from textwrap import wrap
 from typing import Any
 
 import pandas as pd
-from filelock import FileLock
 
 from ablate import analysis
 from ablate.analysis import StudyResults, draw_figures, listed
@@ -18,7 +17,7 @@ from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
 from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
-from ablate.storage import digest, digest_of_files, known_json, write_json
+from ablate.storage import digest, digest_of_files, held, known_json, write_json
 from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, with_earlier
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
@@ -66,7 +65,8 @@ def compare_study(
     if not asked.runs:
         told = [f"{asked.folder} holds no finished run to compare.", *comparable_runs(asked).notes]
         raise ConfigurationError(" ".join([*told, *earlier_layout(asked.folder)]))
-    with FileLock(asked.folder / ".comparison.lock"):  # the list on disk is read and written by one process
+    # The list on disk is read and written by one process.
+    with held(asked.folder / ".comparison.lock", "compares this study"):
         if not rebuild:
             asked = with_earlier(asked)
         usable = comparable_runs(asked)

@@ -185,9 +185,10 @@ class Training:
         """Those of the scores that are not there, or damaged."""
         return [key for key in wanted if not is_whole(self.scores / key.file_name)]
 
-    def lock(self, timeout: float = -1) -> FileLock:
+    @property
+    def lock_file(self) -> Path:
         """Held by the process that trains or scores it."""
-        return FileLock(self.folder / ".lock", timeout=timeout)
+        return self.folder / ".lock"
 
     def begin_again(self) -> None:
         """Forget what a training came to whose checkpoint is gone: its scores are those of other weights."""

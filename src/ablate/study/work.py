@@ -22,7 +22,7 @@ from ablate.networks import Generator, Space, conditions, draws_noise
 from ablate.settings.study import ConfigurationError, StudySettings, Verbosity
 from ablate.sources.data_set import DataSet, maps_needed
 from ablate.sources.prepare import prepare_data
-from ablate.storage import remove_partial, written_whole
+from ablate.storage import held, remove_partial, written_whole
 from ablate.study.job import Job, claim, parameters, refuse_lost_network
 from ablate.study.log import LocalLog, Status
 from ablate.study.provenance import write_provenance
@@ -48,7 +48,7 @@ def do(job: Job) -> None:
     if job.finished:
         return
     training = claim(job)
-    with training.lock():  # another process may be doing the same job
+    with held(training.lock_file, f"trains and scores {job.name}"):
         if job.finished:
             return
         refuse_lost_network(job)

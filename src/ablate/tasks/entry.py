@@ -13,10 +13,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import ablate
-from ablate.command.compose import CONFIG, VERSION_BASE, job_of, jobs_of, swept_keys
+from ablate.command.compose import job_of, jobs_of, refuse_other_launcher, swept_keys
+from ablate.command.composed import CONFIG, VERSION_BASE, composed
 from ablate.command.launch import Launch, Start, Work, start_here
-from ablate.command.refusals import in_one_line
+from ablate.command.refusals import in_one_line, with_hint
 from ablate.command.schema import register
+from ablate.command.words import readable
 from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError, Task
 from ablate.study.job import Job
@@ -50,11 +52,9 @@ def execute(arguments: Sequence[str]) -> int:
     # Hydra documents this variable: it then raises what is wrong with a configuration instead of printing it.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     command = hydra.main(version_base=VERSION_BASE, config_path=str(conf_folder()), config_name=CONFIG)(run_one)
-    words = [word for word in arguments if not word.startswith("-")]
-    # Hydra's parser wants all of a command's overrides on one side of `-m`.
-    ordered = sorted(arguments, key=lambda word: word not in ("-m", "--multirun"))
+    words = readable(arguments)
     with in_one_line(words):
-        before, sys.argv = sys.argv, ["ablate", *ordered]  # which `hydra.main` reads
+        before, sys.argv = sys.argv, ["ablate", *words]  # which `hydra.main` reads
         try:
             command()
         except NotFinishedError:
@@ -67,7 +67,7 @@ def execute(arguments: Sequence[str]) -> int:
             return 0
         finally:
             sys.argv = before
-    raise error
+    raise with_hint(error, words)
 
 
 def run_one(config: DictConfig) -> float | None:
@@ -122,7 +122,11 @@ def run_sweep(
     """
     lines = [[word for word in line if not word.startswith("hydra.")] for line in job_overrides]
     swept, fixed = swept_keys(lines, _words(master.hydra, "task")), _words(master.hydra, "hydra")
-    made = [job_of(line, swept, fixed) for line in lines]
+    HydraConfig.instance().set_config(master)  # as Hydra does for a job: it says what the command starts from
+    configs = [composed([*fixed, *line]) for line in lines]
+    for line, config in zip(lines, configs, strict=True):
+        refuse_other_launcher(master, config, [word for word in line if word.partition("=")[0] in swept])
+    made = [job_of(line, swept, fixed, config) for line, config in zip(lines, configs, strict=True)]
 
     def start_some(jobs: Sequence[Job], work: Work) -> None:
         numbers = [made.index(job) for job in jobs]
@@ -134,12 +138,17 @@ def run_sweep(
         code = _do(made, launch)
     except Exception as error:
         raise _Raised(error) from error
-    if code:
+    is_search = made[0].settings.objective is not None and made[0].settings.task is Task.study
+    if code and not is_search:
         raise SystemExit(code)
-    returns = [JobReturn(overrides=line, status=JobStatus.COMPLETED) for line in lines]
-    for job, returned in zip(made, returns, strict=True):
-        returned.return_value = objective(job)
-    return returns
+    return [_returned(job, line, failed=is_search and not job.finished) for job, line in zip(made, lines, strict=True)]
+
+
+def _returned(job: Job, line: Sequence[str], failed: bool) -> JobReturn:
+    """What a sweeper is told of a job; of one that failed, `max_failure_rate` decides whether the search goes on."""
+    returned = JobReturn(overrides=line, status=JobStatus.FAILED if failed else JobStatus.COMPLETED)
+    returned.return_value = NotFinishedError(f"{job.name}: not finished") if failed else objective(job)
+    return returned
 
 
 def objective(job: Job) -> float | None:
@@ -174,6 +183,7 @@ class Comparison(hydra.experimental.callback.Callback):
         if is_compared or config.objective is not None or config.task != Task.study:
             return
         words = [*_words(config.hydra, "hydra"), *_words(config.hydra, "task")]
+        HydraConfig.instance().set_config(config)
         jobs = jobs_of(["-m", *words, "task=compare"])
         there = [job for job in jobs if job.settings.study_dir.is_dir()]
         if not there:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ablate.command.compose import job_of, quoted
+from ablate.command.compose import job_of
+from ablate.command.words import quoted
 from ablate.setting import plain
 from ablate.settings.study import StudySettings
 from ablate.storage import write_image, write_json, written_whole

@@ -10,7 +10,8 @@ import numpy as np
 
 from ablate import anatomy
 from ablate.anatomy import ANATOMY_VERSION, Scene, SiteGrid
-from ablate.settings.study import StudySettings
+from ablate.setting import shown
+from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.sources import simulated
 
 
@@ -34,6 +35,11 @@ class BuiltInAnatomy:
 
     def check(self, label: str) -> int:  # noqa: ARG002  # any variant can be simulated
         """See `Source.check`."""
+        if folder := self.settings.scene.folder:
+            other = "scene=pairs where it holds pictures"
+            raise ConfigurationError(
+                f"scene.folder={shown(folder)}: the built-in anatomy has no folder; add scene=folder, or {other}"
+            )
         return simulated.check_frames(self.settings, anatomy.fetal_sites())
 
     def offered(self, maps: frozenset[str]) -> frozenset[str]:

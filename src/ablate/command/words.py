@@ -1,0 +1,99 @@
+"""Words of a command line as people type them: made readable for Hydra where one thing can be meant, else refused.
+
+Outside quotes Hydra's grammar takes no `~` and no letters but those of English, and its parser answers an option that
+it does not know with a page.
+"""
+
+import re
+from collections import deque
+from collections.abc import Sequence
+from functools import cache
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+
+from ablate.settings.conf import keys, nearest
+from ablate.settings.study import ConfigurationError
+
+#: Options of Hydra's parser, the long ones also cut short, and whether a value follows; a test reads `--hydra-help`.
+OPTIONS = {
+    **dict.fromkeys(("--help", "--hydra-help", "--version", "--resolve", "--run", "--multirun"), False),
+    **dict.fromkeys(("-h", "-r", "-m", "--shell-completion", "-sc"), False),
+    **dict.fromkeys(("--cfg", "--package", "--config-path", "--config-name", "--config-dir"), True),
+    **dict.fromkeys(("-c", "-p", "-cp", "-cn", "-cd", "--experimental-rerun", "--info", "-i"), True),
+}
+MULTIRUN = ("-m", "--multirun")
+
+
+def quoted(path: object) -> str:
+    """A path as Hydra reads it in `key=value`, with blanks, commas, brackets and quotes."""
+    return "'" + str(path).replace("'", "\\'") + "'"
+
+
+def readable(words: Sequence[str]) -> list[str]:
+    """The words after `python -m ablate` as Hydra reads them: settings, then options, whose order it minds.
+
+    A text that its grammar cannot read, such as a path with `~`, is put in quotes, unless it may stand for several
+    values. What looks like an option and is none is a ConfigurationError that says how the setting is typed.
+    """
+    settings: list[str] = []
+    options: list[str] = []
+    left = deque(words)
+    while left:
+        word = left.popleft()
+        if word[:1] != "-":
+            _check_comma(word)
+            settings.append(_readable(word))
+            continue
+        name = word.partition("=")[0]
+        option = next((o for o in OPTIONS if o == name or (len(name) > 2 and o.startswith(name))), None)
+        if option is None:
+            raise ConfigurationError(_no_option(word, left[0] if left else ""))
+        options.append(word)
+        if OPTIONS[option] and left and "=" not in word + left[0]:
+            options.append(left.popleft())
+    return [*settings, *options]
+
+
+def _readable(word: str) -> str:
+    key, is_given, value = word.partition("=")
+    if not is_given or key.lstrip("+") not in _texts() or value[:1] in ("'", '"') or set(value) & set(",[]{}"):
+        return word
+    try:
+        OverridesParser.create().parse_override(word)
+    except HydraException:
+        return f"{key}={quoted(value)}"
+    return word
+
+
+@cache
+def _texts() -> frozenset[str]:
+    return frozenset(key for key, one in keys().items() if one.kind is str)
+
+
+def _no_option(word: str, following: str) -> str:
+    """Why `--preset tiny` is refused, and any other option that Hydra's parser does not have."""
+    name, is_given, value = word.partition("=")
+    key = name.lstrip("-").replace("-", "_")
+    value = value if is_given else "" if following.startswith("-") or "=" in following else following
+    known = key if key in keys() or any(other.startswith(f"{key}.") for other in keys()) else nearest(key)
+    if known:
+        return f"{name}: a setting is typed without dashes: {known}={value or '...'}"
+    options = ", ".join(option for option in OPTIONS if option[:2] == "--")
+    return f"{name}: no such option; allowed are key=value and {options}"
+
+
+def _check_comma(word: str) -> None:
+    """Refuse a number with a comma in it, such as `0,001` or `1,000`; no value of a list has such zeros in front."""
+    if hint := with_a_point(word, r"0\d+"):
+        raise ConfigurationError(f"{word}: a comma separates the values of several jobs; {hint}")
+
+
+def with_a_point(word: str, after: str = r"\d+") -> str:
+    """How the number of `key=0,5` or `key=1,000` is typed, where its setting is one number; empty for other words."""
+    key, _, value = word.partition("=")
+    number = re.fullmatch(rf"(-?\d+),({after})", value)
+    kind = keys()[key].kind if key in keys() else None
+    if not number or not (kind is float or (kind is int and len(number[2]) == 3)):
+        return ""
+    return f"type {key}={number[1]}{'.' if kind is float else ''}{number[2]}"
