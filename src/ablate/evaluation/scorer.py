@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,7 +9,6 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
@@ -19,8 +17,8 @@ from ablate.evaluation.known import describes_fan, tissue_labels
 from ablate.evaluation.moved import motion_values
 from ablate.evaluation.scores import Scores, not_computed, without_values
 from ablate.evaluation.settings import EvaluationSettings
+from ablate.evaluation.values import means, values_table
 from ablate.metrics import (
-    METRICS,
     FeatureKind,
     InceptionFeatures,
     Metric,
@@ -32,7 +30,7 @@ from ablate.metrics import (
     is_own,
     speckle_features,
 )
-from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
+from ablate.metrics.metric import BOUNDS
 from ablate.networks import Space
 from ablate.threads import side_by_side
 from ablate.ultrasound import Probe
@@ -152,8 +150,8 @@ class Scorer:
         if self.moved is not None and moved_images is not None and part is Part.test:
             of_motion = motion_values(computed, self.moved, self.tissues, images_of, moved_images)
             values = [of_frame | of_motion.get(int(k), {}) for k, of_frame in zip(frames, values, strict=True)]
-        per_image = _table(part, frames, sites, [self._in_order(of_frame) for of_frame in values])
-        scalars = _means(per_image)
+        per_image = values_table(part, frames, sites, [self._in_order(of_frame) for of_frame in values])
+        scalars = means(per_image)
         for kind in (FeatureKind.speckle, FeatureKind.inception):
             of_kind = [metric for metric in computed if metric.uses(kind)]
             if of_kind:
@@ -256,23 +254,6 @@ def _stacked(features: Collection[Features]) -> Features:
     return np.concatenate(rendered), np.concatenate(wanted)
 
 
-def _means(per_image: pd.DataFrame) -> dict[str, float]:
-    """The mean of each metric over its finite values."""
-    finite = per_image[np.isfinite(per_image["value"])]
-    return {str(name): _mean(of_metric.tolist()) for name, of_metric in finite.groupby("metric")["value"]}
-
-
-def _mean(values: list[float]) -> float:
-    """The mean by Kahan's compensated sum: that of pandas, which adds otherwise where a group is alone in its table."""
-    total = lost = 0.0
-    for value in values:
-        term = value - lost
-        raised = total + term
-        lost = raised - total - term
-        total = raised
-    return total / len(values)
-
-
 def _distances(metrics: Collection[Metric], batches: Collection[Features], sites: np.ndarray) -> dict[str, float]:
     """Distances between features of images and of their targets; intervals, over the sites, need two.
 
@@ -289,20 +270,3 @@ def _distances(metrics: Collection[Metric], batches: Collection[Features], sites
             ends = bootstrap_interval(metric.of_set.distance, rendered, wanted, groups, metric.of_set.resamples)
             scalars |= {f"{metric.name}_{side}": end for side, end in zip(BOUNDS, ends, strict=True)}
     return scalars
-
-
-def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:
-    """One row a frame and metric."""
-    rows = [
-        (int(frame), int(site), name, value)
-        for frame, site, of_frame in zip(frames, sites, values, strict=True)
-        for name, value in of_frame.items()
-    ]
-    table = pd.DataFrame(rows, columns=list(SCORE_COLUMNS)).astype({"value": "float64"})
-    infinite = np.isinf(table["value"]) & ~table["metric"].isin(METRICS)  # PSNR of identical images is, by definition
-    without = table[table["value"].isna() | infinite]
-    for (name, value), of_value in without.groupby(["metric", "value"], dropna=False):
-        word = "NaN" if np.isnan(value) else "infinite"
-        named = ", ".join(of_value["frame"].astype(str))
-        logging.getLogger(__name__).warning("%s is %s on %s frame %s: not in its mean", name, word, part.name, named)
-    return table

@@ -148,8 +148,6 @@ class Training:
         """The digest of the test frames of its data set when it was trained; empty before that."""
         return str(self.result.get("pixels", ""))
 
-    # What can be done with it.
-
     @property
     def is_trained(self) -> bool:
         """Whether the last step is done."""
