@@ -162,6 +162,7 @@ def test_a_terminal_has_one_line_that_is_redrawn_with_the_time_left(
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     monkeypatch.setenv("TQDM_MININTERVAL", "0")
+    monkeypatch.setattr(logging, "raiseExceptions", False)  # of handlers of other tests, whose streams are closed
     train(SPEC, replace(SETTINGS, steps=6, log_every=1), loader, tmp_path, title="sa2h/seed3")
     first, *redrawn, last = terminal.getvalue().split("\r")[1:]
     assert terminal.getvalue().count("\n") == 1, "of its end"
