@@ -42,12 +42,19 @@ def description(jobs: Sequence[Job]) -> str:
         "components": {n: n for n in ("family", *(c.name for c in components_of_networks().values()))},
         "inputs": {"inputs": "inputs"},
         "receptive field of the generator: px, mm, and % of the frame's height": {
-            **{"depth": "levels", "field_px": "px", "field_mm": "mm", "field_percent": "%"},
-            **{"paper_depth": paper + "levels", "paper_field_px": "px", "paper_field_mm": "mm"},
+            "depth": "levels",
+            "field_px": "px",
+            "field_mm": "mm",
+            "field_percent": "%",
+            "paper_depth": paper + "levels",
+            "paper_field_px": "px",
+            "paper_field_mm": "mm",
             "paper_field_percent": "%",
         },
         "parameters, at the paper's size with width 1 and the paper's levels": {
-            **{"total_here": "here: total", "generator": paper + "generator", "discriminator": "discriminator"},
+            "total_here": "here: total",
+            "generator": paper + "generator",
+            "discriminator": "discriminator",
             "total": "total",
         },
     }

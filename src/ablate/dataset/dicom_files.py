@@ -36,6 +36,17 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = Fal
     """A file a frame, and in `segmentation` its labels as DICOM SEG; of `imported` ones it is not said who made them.
 
     UIDs are numbers from the name of the data set, which has its hash, the frame and its pixels: they stay the same.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        Their targets and labels are written.
+    folder : Path
+        Of the files; those of SEG lie in `segmentation` there.
+    pixel_mm : Size
+        Height and width of a pixel.
+    imported : bool
+        Whether another program made the images.
     """
     (folder / "segmentation").mkdir(parents=True, exist_ok=True)
     segments = [_segment(number, name, imported) for number, name in enumerate(pairs.tissues, start=1)]
@@ -44,10 +55,8 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = Fal
         shown = pairs.stored("target", frame)
         image = _ultrasound(pairs.folder.name, frame, shown, pairs.mask(), pixel_mm)
         if imported:
-            image.PatientName, image.DerivationDescription = (
-                "Unknown^Patient",
-                "Imported by ablate from an image made elsewhere",
-            )
+            image.PatientName = "Unknown^Patient"
+            image.DerivationDescription = "Imported by ablate from an image made elsewhere"
         image.SOPInstanceUID = _uid(pairs.folder.name, hashlib.sha256(shown.tobytes()).hexdigest(), str(frame))
         pydicom.dcmwrite(folder / name, image, enforce_file_format=True)
         segmentation = Segmentation(

@@ -161,7 +161,7 @@ class Scorer:
 
     def _unrepeated(self, frames: np.ndarray, drawn: np.ndarray, values: list[dict[str, float]]) -> dict[str, str]:
         """Of each metric of the user's that gives other values of the first frames when all are scored, both values."""
-        own = replace(self, metrics={name: metric for name, metric in self.metrics.items() if is_own(metric)})
+        own = replace(self, metrics={name: metric for name, metric in self.metrics.items() if _is_asked_again(metric)})
         found: dict[str, str] = {}
         for frame, draws, before in zip(frames if own.metrics else (), drawn, values, strict=False):
             after, _ = own._score_frame(int(frame), draws, with_texture=False)
@@ -246,6 +246,11 @@ class Scorer:
             segmentation=labels,
             **self._sizes,
         )
+
+
+def _is_asked_again(metric: Metric) -> bool:
+    """Whether it is a metric of the user's, of images: those of the network's grid were computed elsewhere."""
+    return is_own(metric) and metric.pixels is Pixels.image
 
 
 def _stacked(features: Collection[Features]) -> Features:

@@ -11,7 +11,17 @@ from ablate.metrics.metric import SCORE_COLUMNS
 
 
 def values_table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:
-    """One row a frame and metric."""
+    """One row a frame and metric, with the columns `SCORE_COLUMNS`; the log names values that do not count.
+
+    Parameters
+    ----------
+    part : Part
+        Named in the log.
+    frames, sites : (k,) int
+        Number and probe site of each frame.
+    values : list of dict of str to float
+        Of each frame by metric.
+    """
     rows = [
         (int(frame), int(site), name, value)
         for frame, site, of_frame in zip(frames, sites, values, strict=True)

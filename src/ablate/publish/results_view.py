@@ -32,6 +32,19 @@ def publish_results(store: Store, run_id: str, training: Training, scores: Seque
     """The scores of a training, the values of all frames as one table, some frames, and its network.
 
     Its data set may have been deleted; then there are no frames, and no network.
+
+    Parameters
+    ----------
+    store : Store
+        Where the run is.
+    run_id : str
+        Of the run.
+    training : Training
+        What is shown.
+    scores : sequence of str
+        Names of the files of its scores.
+    time_ms : int
+        When it ended, of the metrics.
     """
     read = [read_score(training.scores / name) for name in scores]
     scalars = dict(training.result["scalars"])

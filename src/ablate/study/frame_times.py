@@ -120,6 +120,17 @@ def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] =
     its weights only, because how long it takes may depend on them, and only if it is among those that this command has
     `named`: what only a file names is not imported. Returns why nothing could be measured, a sentence, or an empty
     string.
+
+    Parameters
+    ----------
+    study_dir : Path
+        Folder of the study, where the times are kept.
+    runs : sequence of Run
+        Whose networks are timed.
+    named : collection of str
+        Dotted paths of the user's classes.
+    reference : str
+        The variant whose maps the formula reads.
     """
     to_time = {network_of(run.identity): run for run in reversed(runs) if _can_be_timed(run, named)}
     if not to_time:
