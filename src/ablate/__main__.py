@@ -12,6 +12,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from ablate.dataset.processes import end_process
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.entry import execute
 
@@ -92,5 +93,13 @@ def _stopping_at_signals() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+def start() -> None:
+    """`main` as a process of its own, which ends with it."""
+    try:
+        main()
+    except SystemExit as end:
+        end_process(end.code)
+
+
 if __name__ == "__main__":
-    main()
+    start()

@@ -78,3 +78,37 @@ def test_cores_are_those_that_the_process_is_bound_to() -> None:
         assert allotted_cores() == 1
     finally:
         os.sched_setaffinity(0, everywhere)
+
+
+# A thread that is left inside of torch or Arrow as the process ends: `sys.exit` aborts there, or hangs.
+LEFT = """
+import sys, time
+from ablate.dataset.processes import end_process, start_beside
+
+def torch_work():
+    import torch
+    torch.set_num_threads(1)
+    numbers = torch.ones(300, 300)
+    while True:
+        numbers @ numbers
+
+def arrow_work():
+    import io, pandas as pd
+    file = io.BytesIO()
+    pd.DataFrame({"a": range(1000)}).to_parquet(file)
+    while True:
+        pd.read_parquet(io.BytesIO(file.getvalue()))
+
+start_beside(locals()[sys.argv[1]])
+time.sleep(2.5)
+print("all is told")
+end_process({"none": None, "three": 3, "words": "ablate: interrupted"}[sys.argv[2]])
+"""
+
+
+@pytest.mark.parametrize(("code", "status"), [("none", 0), ("three", 3), ("words", 1)])
+@pytest.mark.parametrize("work", ["torch_work", "arrow_work"])
+def test_a_process_ends_with_its_own_status_whatever_a_thread_beside_it_does(work: str, code: str, status: int) -> None:
+    ended = subprocess.run([sys.executable, "-c", LEFT, work, code], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stdout) == (status, "all is told\n"), ended.stderr
+    assert ended.stderr.strip() == ("ablate: interrupted" if code == "words" else "")

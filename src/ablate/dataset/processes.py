@@ -1,17 +1,19 @@
-"""Worker processes: as many as there are cores for, and none that outlives whoever started it; and signals to stop."""
+"""Worker processes: as many as there are cores for, and none that outlives whoever started it; signals; the end."""
 
+import atexit
 import multiprocessing
 import os
 import pickle
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
 
 # SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2") if hasattr(signal, name)]
+_BESIDE = "beside the program"  # the name of threads that the end of a process does not wait for
 
 
 def allotted_cores() -> int:
@@ -39,6 +41,29 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+def start_beside(work: Callable[[], object]) -> threading.Thread:
+    """Start a thread for work that the process does not wait for; a process that may leave it ends by `end_process`."""
+    thread = threading.Thread(target=work, name=_BESIDE, daemon=True)
+    thread.start()
+    return thread
+
+
+def end_process(code: object) -> NoReturn:
+    """End this process as `sys.exit(code)` does, and at once where a thread of `start_beside` is still at work.
+
+    An interpreter that ends stops such a thread wherever it is: inside of torch this aborts the process, inside of
+    Arrow it hangs.
+    """
+    if not any(thread.name == _BESIDE for thread in threading.enumerate()):
+        sys.exit(code)  # type: ignore[arg-type]
+    if isinstance(code, str):
+        sys.stderr.write(f"{code}\n")
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code if isinstance(code, int) else int(code is not None))
+
+
 def work_for_parent(content: bytes) -> None:
     """In a worker process, call what is pickled in `content`: a function and its arguments.
 
@@ -49,7 +74,10 @@ def work_for_parent(content: bytes) -> None:
         function, arguments = pickle.loads(content)
         function(*arguments)
     except KeyboardInterrupt:
-        sys.exit(128 + signal.SIGINT)
+        end_process(128 + signal.SIGINT)
+    except SystemExit as end:
+        end_process(end.code)
+    end_process(None)
 
 
 @contextmanager

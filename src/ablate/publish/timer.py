@@ -4,6 +4,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from ablate.dataset.processes import start_beside
 from ablate.publish.store import open_store
 from ablate.publish.study_view import study_run
 from ablate.publish.training_view import publish_training
@@ -28,8 +29,7 @@ def following(job: Job) -> Iterator[None]:
             tried(lambda: _publish(job, goes_on=True))
         tried(lambda: _publish(job, goes_on=False))
 
-    thread = threading.Thread(target=repeat, daemon=True)
-    thread.start()
+    thread = start_beside(repeat)
     try:
         yield
     finally:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TypeVar
 
+from ablate.dataset.processes import start_beside
 from ablate.publish.store import reason
 
 _LOG = logging.getLogger(__name__)
@@ -26,7 +27,7 @@ def in_time(seconds: float, work: Callable[[], T]) -> T:
         except BaseException as error:
             outcome.set_exception(error)
 
-    threading.Thread(target=run, daemon=True).start()
+    start_beside(run)
     try:
         return outcome.result(seconds)
     except TimeoutError as error:
