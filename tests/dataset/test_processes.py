@@ -82,13 +82,14 @@ def test_cores_are_those_that_the_process_is_bound_to() -> None:
 
 # A thread that is left inside of torch or Arrow as the process ends: `sys.exit` aborts there, or hangs.
 LEFT = """
-import sys, time
+import sys, threading
 from ablate.dataset.processes import end_process, start_beside
 
 def torch_work():
     import torch
     torch.set_num_threads(1)
     numbers = torch.ones(300, 300)
+    at_work.set()
     while True:
         numbers @ numbers
 
@@ -96,11 +97,15 @@ def arrow_work():
     import io, pandas as pd
     file = io.BytesIO()
     pd.DataFrame({"a": range(1000)}).to_parquet(file)
+    pd.read_parquet(io.BytesIO(file.getvalue()))
+    at_work.set()
     while True:
         pd.read_parquet(io.BytesIO(file.getvalue()))
 
+at_work = threading.Event()
 start_beside(locals()[sys.argv[1]])
-time.sleep(2.5)
+at_work.wait()
+threading.Event().wait(0.2)
 print("all is told")
 end_process({"none": None, "three": 3, "words": "ablate: interrupted"}[sys.argv[2]])
 """
