@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import sqlite3
 from contextlib import closing, suppress
@@ -19,6 +20,7 @@ from mlflow.entities import Run
 from PIL import Image
 
 import ablate
+from ablate.command.compose import jobs_of
 from ablate.publish import default_uri
 from ablate.publish.store import open_store
 from ablate.publish.study_view import study_run
@@ -116,6 +118,14 @@ def test_a_real_training_goes_on_in_its_run_where_it_was_stopped(stopped_once: J
     names = [name for name in files_of(runs, run) if name.endswith(".png")]
     assert len([name for name in names if "frames~" in name]) == 2 * 5  # two frames, each step once
     assert {"config.json", "starts.json"} <= {Path(name).name for name in files_of(runs, run)}
+
+
+def test_the_source_of_a_run_is_a_command_that_asks_for_it_alone(stopped_once: Job) -> None:
+    source = active_runs(stopped_once.settings.results)[NAME].data.tags["mlflow.source.name"]
+    *python, words = source.split(maxsplit=3)
+    assert python == ["python", "-m", "ablate"]
+    (job,) = jobs_of(shlex.split(words))
+    assert (job.hash, job.name) == (stopped_once.hash, stopped_once.name)
 
 
 def test_a_run_has_its_network_to_load_and_test_frames_beside_their_targets(stopped_once: Job) -> None:

@@ -68,6 +68,7 @@ def test_every_start_is_listed_and_the_report_names_all_commits(
         ("aaa", 40, 1),
         ("bbb", 60, 2),
     ]
+    assert starts[-1]["command"] == f"python -m ablate runs_dir={job.settings.results} training.threads=2"
     assert ["git_diff" in s for s in starts] == [True, True, False]
     about = stored(job, "made_with.json")
     assert (about["git_commit"], about["git_dirty"], about["threads"]) == ("aaa, bbb", "true", "1, 2")

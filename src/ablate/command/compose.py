@@ -46,7 +46,7 @@ def job_of(
         chosen = settings(config)
         named = {*swept, *(component.key for component in components())}
         changed = changed_keys(parsed(words), config, chosen, named, fixed)
-        return Job(chosen, label_of(chosen, changed), tuple(sorted(changed.items())))
+        return Job(chosen, label_of(chosen, changed), tuple(sorted(changed.items())), (*fixed, *words))
 
 
 def variant_model(name: str) -> GeneratorSpec:

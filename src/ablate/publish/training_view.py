@@ -139,6 +139,9 @@ def _begin(store: Store, parent: str, training: Training, log: Log) -> Run:
         PARENT: parent,
         NOTE: "Not ended: there are no scores yet.",
     }
+    command = training.starts[-1].get("command") if training.starts else None
+    if command:  # the column Source
+        about |= {"mlflow.source.name": command, "mlflow.source.type": "LOCAL"}
     run = store.create(training.name, JOB, known_by | about | code, log.began_ms)
     run_id, client = run.info.run_id, store.client
     named = named_components(build(GeneratorSpec, training.about["settings"]["model"], stored=True))

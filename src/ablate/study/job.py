@@ -34,6 +34,7 @@ class Job:
     settings: StudySettings
     label: str  # the variant and what else was changed beside it, such as `sa2h.depth-8`
     changed: tuple[tuple[str, Any], ...] = field(default=(), compare=False)  # dotted keys beside the variant, values
+    words: tuple[str, ...] = field(default=(), compare=False)  # after `python -m ablate`, that stand for it alone
 
     def __post_init__(self) -> None:
         check_name("variant", self.label)

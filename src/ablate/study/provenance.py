@@ -7,6 +7,7 @@ import logging
 import os
 import platform
 import re
+import shlex
 import subprocess
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -29,7 +30,7 @@ from ablate.training import chosen_device, read_checkpoint
 _LOG = logging.getLogger(__name__)
 #: What is told of the code and the machine of a training.
 ABOUT_CODE = ("git_commit", "git_dirty", "hardware", "threads")
-_OF_ONE_START = ("time", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
+_OF_ONE_START = ("time", "command", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
 
 _PACKAGE = Path(ablate.__file__).parent
 _DISTRIBUTION = "ablate-ultrasound"  # what an installer calls this package
@@ -134,6 +135,7 @@ def _this_start(job: Job, training: Training) -> tuple[dict[str, Any], str]:
             step = read_checkpoint(training.checkpoint)["steps_done"]
     start = {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": shlex.join(["python", "-m", "ablate", *job.words]),
         **code,
         "source": package_digest(),
         "hardware": hardware(),
@@ -148,7 +150,7 @@ def _this_start(job: Job, training: Training) -> tuple[dict[str, Any], str]:
 
 def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """What differs between two starts of one training."""
-    compared = [key for key in now if key not in ("step", "time") and (key in before or key == "git_diff")]
+    compared = [key for key in now if key not in ("step", "time", "command") and (key in before or key == "git_diff")]
     differing = [key for key in compared if before.get(key) != now[key]]
     return "; ".join(f"{key} {before.get(key, 'none')}, now {now[key]}" for key in differing)
 
