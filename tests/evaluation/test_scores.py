@@ -212,6 +212,51 @@ def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
     assert "by the metric failing" in raised.value.__notes__
 
 
+UNREPEATED = """
+import numpy as np
+calls, largest = [], [0.0]
+
+def draws_numbers(pair):
+    return pair.prediction[np.random.randint(0, 500, 40), 300].mean()
+
+def counts_calls(pair):
+    calls.append(1)
+    return len(calls) / 100
+
+def compares_with_the_largest(pair):
+    largest[0] = max(largest[0], pair.prediction.mean(dtype=float) * (1 + (pair.prediction.sum() % 7)))
+    return pair.prediction.mean() / largest[0]
+
+def rounds_otherwise(pair):
+    calls.append(1)
+    return 1 / 3 + 1e-12 * len(calls)
+
+def nothing(pair):
+    return None
+
+def not_a_number(pair):
+    return float("nan")
+"""
+
+
+def test_a_metric_that_gives_another_value_when_it_is_asked_again_is_noted(
+    runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "of_chance.py").write_text(UNREPEATED)
+    monkeypatch.syspath_prepend(tmp_path)
+    unsteady = ["draws_numbers", "counts_calls", "compares_with_the_largest"]
+    names = [f"of_chance.{name}" for name in (*unsteady, "rounds_otherwise", "nothing", "not_a_number")]
+    of_mine = scorer(replace(job(runs).settings, metrics=[*names, "psnr"]), data)
+    scores = score_run(of_mine, lambda frames, _: data.pairs.read("resimulation", frames), draws_noise=False)
+    assert list(scores.unrepeated) == unsteady
+    for name in unsteady:
+        (note,) = scores.of_metric(name).notes
+        assert note.startswith(f"{name}: ")
+        assert "when it was asked again; it draws random numbers, or keeps what it has seen" in note
+    assert not scores.of_metric("psnr").notes
+    assert joined([scores.of_metric(name) for name in ("psnr", *unsteady)]).unrepeated == scores.unrepeated
+
+
 def test_fid_is_computed_with_a_file_and_kept_with_its_interval(runs: Path, data: Data, network: Path) -> None:
     with_file = job(runs, f"evaluation.inception={network}", "metrics=[fid,kid,psnr]")
     check([with_file])
