@@ -1,7 +1,8 @@
 """The paper's Table II beside the same seven networks to scale: means, tests, and the verdict of docs/table2.md.
 
 python -m ablate +study=table2
-python scripts/table2.py [folder of the study]
+python scripts/table2.py             # of runs/table2, or of what docs/results keeps of it
+python scripts/table2.py keep        # adds what the kept study lacks to tell seen sites from others
 """
 
 import json
@@ -33,6 +34,9 @@ METRICS = {"psnr": "psnr", "mae": "mae", "pchi2": "pchi2", "fid": "fd_speckle"}
 ABLATED = ("sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "nsa2h")
 PRIMARY = ("pchi2", "psnr")
 HIGHER_IS_BETTER = ("psnr",)
+KEPT = Path(__file__).parents[1] / "docs" / "results" / "table2"
+#: In the folder of the kept study: the sites that training has seen, by data set.
+SEEN = "seen_sites.json"
 MOST_FD, MOST_OCTAVE_DB = 1.5, 1.0  # of SA2H: more, and it does not draw speckle
 LEVEL = 0.05
 
@@ -163,7 +167,7 @@ def _run(folder: Path, job: Mapping[str, object], sites: str) -> dict[str, objec
     files = [folder / str(job["training"]) / "scores" / str(name) for name in scores]
     frames = pd.concat([pd.read_parquet(file) for file in files]).query("source == 'model' and split == 'test'")
     if sites != "all":
-        kept = seen_sites(folder.parent / "data" / about["data"])
+        kept = seen_sites(folder, about["data"])
         frames = frames[frames["site"].isin(kept) == (sites == "seen")]
     means = frames[np.isfinite(frames["value"])].groupby("metric")["value"].mean()
     of_set = {name: _scalar(files, name) for name in ("fd_speckle",)}
@@ -185,12 +189,21 @@ def _scalar(files: Sequence[Path], metric: str) -> float:
     return float(json.loads(metadata[b"ablate"])["scalars"][f"test/{metric}"])
 
 
-def seen_sites(data: Path) -> set[int]:
-    """The probe sites of a data set that its training has frames of."""
+def seen_sites(folder: Path, data: str) -> set[int]:
+    """The probe sites of a data set, by its name, that its training has frames of; a kept study lists them."""
+    kept = folder / SEEN
+    if kept.exists():
+        return set(json.loads(kept.read_text())[data])
     from ablate.dataset import Part, open_pairs
 
-    pairs = open_pairs(data)
+    pairs = open_pairs(folder.parent / "data" / data)
     return {int(site) for site in pairs.sites[pairs.split == Part.train]}
+
+
+def keep_sites(folder: Path, kept: Path) -> None:
+    """Write the sites seen in training beside the kept results of the study."""
+    names = sorted({json.loads(file.read_text())["data"] for file in folder.glob("*/training.json")})
+    (kept / SEEN).write_text(json.dumps({name: sorted(seen_sites(folder, name)) for name in names}))
 
 
 def beside_the_paper(runs: pd.DataFrame) -> pd.DataFrame:
@@ -208,7 +221,9 @@ def main() -> None:
     """Print the tables and the verdict."""
     from numerics import markdown  # beside this script
 
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/table2")
+    folder = next(place for place in (Path("runs/table2"), KEPT) if (place / "comparison" / "jobs.json").exists())
+    if sys.argv[1:] == ["keep"]:
+        keep_sites(folder, KEPT)
     everything = read_runs(folder)
     runs = everything[everything["labels"] == "arbitrary"]
     print(markdown(beside_the_paper(runs).map("{:.3f}".format)))
