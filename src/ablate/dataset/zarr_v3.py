@@ -3,6 +3,7 @@
 Filters of version 2 can unpickle what a stranger stored; what is opened here is refused before anything is decoded.
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import zarr
 from zarr.abc.codec import Codec
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec, ShardingCodec, ZstdCodec
 from zarr.errors import NodeNotFoundError
+
+from ablate.storage import check_unpacked
 
 # Of several threads Zarr starts some later, which without memory may never return (CPython 140746).
 zarr.config.set({"threading.max_workers": 1, "async.timeout": 300})
@@ -36,12 +39,23 @@ def open_array(path: Path) -> zarr.Array:
         if type(codec) not in _WRITTEN:
             allowed = ", ".join(kind.__name__ for kind in _WRITTEN)
             raise ValueError(f"{path}: is stored with {type(codec).__name__}; allowed are {allowed}")
+    check_unpacked(path, math.prod(array.chunks) * array.dtype.itemsize)  # one is unpacked whole
+    return array
+
+
+def open_frames(path: Path, shape: tuple[int, int, int], dtype: str) -> zarr.Array:
+    """Open an array of so many frames, each a chunk; a ValueError where it is another one than its data set declares."""
+    array = open_array(path)
+    if (array.shape, array.chunks, array.dtype) != (shape, (1, *shape[1:]), np.dtype(dtype)):
+        found = f"{array.dtype} of {array.shape} in chunks of {array.chunks}"
+        raise ValueError(f"{path}: is {found}; its data set has {dtype} of {shape} in chunks of {(1, *shape[1:])}")
     return array
 
 
 def read_whole(path: Path) -> np.ndarray:
     """Read one of the small arrays that are written once; a ValueError where it is damaged."""
     array = open_array(path)
+    check_unpacked(path, array.nbytes)
     try:
         return np.asarray(array[...])
     except (ValueError, RuntimeError) as error:

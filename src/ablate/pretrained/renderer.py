@@ -11,7 +11,7 @@ import torch
 
 from ablate import dataset
 from ablate.anatomy import Tissue
-from ablate.networks import Generator, GeneratorSpec, Space, conditions
+from ablate.networks import Generator, GeneratorSpec, Space, conditions, read_stored, stored_generator
 from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
@@ -147,7 +147,7 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
     if not path.is_file():
         raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and files that `save` wrote")
     try:
-        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        content: dict[str, Any] = read_stored(path)
         target = dict(content["spec"]).get("target")
         check_named(path, target, custom, "custom")
         return _renderer_of(content)
@@ -159,11 +159,10 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
 
 def _renderer_of(content: Mapping[str, Any]) -> Renderer:
     """The renderer whose file holds this."""
-    generator = Generator(GeneratorSpec(**content["spec"]), content["labels"])
-    generator.load_state_dict(content["weights"])
+    generator = stored_generator(GeneratorSpec(**content["spec"]), content["labels"], content["weights"])
     return Renderer(
         generator=generator.eval(),
-        values={name: tuple(of_tissue) for name, of_tissue in content["values"].items()},
+        values={name: tuple(map(float, of_tissue)) for name, of_tissue in content["values"].items()},
         probe=probe_from(content["probe"]),
         simulator=SimulatorSettings(**content["simulator"]),
         made=content["made"],
