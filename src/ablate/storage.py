@@ -15,8 +15,8 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
 import numpy as np
 from filelock import FileLock, Timeout
 
-#: Bytes that a file of results may unpack to, however small it is: one picture of 16384 x 16384 px, the largest that the
-#: simulator makes, or 190 of the paper's; tables of scores and arrays of poses are far smaller.
+#: Bytes that a file of results may unpack to, however small it is: one picture of 16384 x 16384 px, the largest that
+#: the simulator makes, or 190 of the paper's; tables of scores and arrays of poses are far smaller.
 MOST_UNPACKED = 2**28
 
 
@@ -125,7 +125,9 @@ def check_archive(path: Path, most: int | None = None) -> None:
         raise ValueError(f"{path}: not a whole archive ({error})") from error
     for part in parts:
         if part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-            raise ValueError(f"{path}: {part.filename} is compressed by method {part.compress_type}; allowed is deflate")
+            raise ValueError(
+                f"{path}: {part.filename} is compressed by method {part.compress_type}; allowed is deflate"
+            )
     check_unpacked(path, sum(part.file_size for part in parts), path.stat().st_size if most is None else most)
 
 

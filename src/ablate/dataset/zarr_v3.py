@@ -44,7 +44,7 @@ def open_array(path: Path) -> zarr.Array:
 
 
 def open_frames(path: Path, shape: tuple[int, int, int], dtype: str) -> zarr.Array:
-    """Open an array of so many frames, each a chunk; a ValueError where it is another one than its data set declares."""
+    """Open an array of so many frames, each a chunk; a ValueError where it is not what its data set declares."""
     array = open_array(path)
     if (array.shape, array.chunks, array.dtype) != (shape, (1, *shape[1:]), np.dtype(dtype)):
         found = f"{array.dtype} of {array.shape} in chunks of {array.chunks}"

@@ -1,4 +1,4 @@
-"""Networks from files that anybody may have made: nothing in them runs code, and they take no more memory than they have.
+"""Networks from files that anybody may have made: nothing in them runs code, and none takes more memory than its size.
 
 A specification of a few bytes can name a network of terabytes. Sizes are compared before anything is allocated.
 """
