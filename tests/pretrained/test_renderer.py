@@ -194,7 +194,7 @@ def test_all_differences_of_two_probes_are_named() -> None:
 
 
 def test_a_rendering_warns_once_of_a_simulators_frame_and_not_of_one_made_elsewhere(frame: Frame) -> None:
-    """Warnings are errors in tests, so the frames that are as those of the training, or of unknown settings, are quiet."""
+    """Warnings are errors in tests, so frames as those of the training, and of unknown settings, are quiet."""
     renderer = made()
     scene = Scene((), TISSUES[0], "soft tissue")
     settings = replace(renderer.simulator, rays=1, layers=1)

@@ -20,7 +20,7 @@ from ablate.storage import check_archive
 
 MOST_LABELS = 256  # channels of a segmentation, whose labels are uint8
 # What torch lets a file call that is given a size in place of content, by module and name.
-_MAKERS_OF_A_SIZE = re.compile(r"builtins bytearray|torch(\.\w+)* (\w*Tensor|UntypedStorage|TypedStorage)")
+_MAKERS_OF_A_SIZE = re.compile(r"\w*builtin\w* bytearray|torch(\.\w+)* (\w*Tensor|UntypedStorage|TypedStorage)")
 
 
 def read_stored(path: Path) -> Any:

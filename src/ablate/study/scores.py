@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from ablate.evaluation import Scores
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
+from ablate.setting import shown
 from ablate.storage import check_unpacked, remove_partial, written_whole
 from ablate.user_code import code_digest, load
 
@@ -154,7 +155,7 @@ def read_score(path: Path) -> Score:
     except (OSError, ValueError, KeyError) as error:
         raise ValueError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
     if metrics - {path.name.partition("@")[0]}:
-        raise ValueError(f"{path}: holds values of {', '.join(sorted(map(str, metrics)))}")
+        raise ValueError(f"{path}: holds values of {shown(sorted(map(str, metrics)))}")
     return Score(values, about["scalars"], tuple(about["notes"]), about["scored"])
 
 
