@@ -16,6 +16,7 @@ from unittest.mock import Mock
 
 import nibabel
 import nrrd
+import numcodecs
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -23,6 +24,7 @@ import pytest
 import torch
 import zarr
 from torch import Tensor
+from zarr.codecs import BloscCodec, ZstdCodec
 
 import ablate
 from ablate.anatomy.scene import _read as read_scene
@@ -258,6 +260,24 @@ def chunk_of_pairs(folder: Path) -> Callable[[], object]:
     return lambda: open_pairs(folder)
 
 
+def unpacked_frame_of_pairs(folder: Path) -> Callable[[], object]:
+    """Where a chunk unpacks to more than its array has in it."""
+    pairs_at(folder).create_array(
+        "target", shape=(1, 6, 4), chunks=(1, 6, 4), dtype="uint8", compressors=[BloscCodec()]
+    )
+    file = folder / "pairs.zarr" / "target" / "c" / "0" / "0" / "0"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(numcodecs.Blosc("zstd", 1).encode(np.zeros(200 * MB, np.uint8)))
+    return lambda: open_pairs(folder).stored("target", 0, "beam")
+
+
+def unpacked_sites_of_pairs(folder: Path) -> Callable[[], object]:
+    group = pairs_at(folder)
+    group.create_array("site", data=np.zeros(1, np.int32), overwrite=True, compressors=[ZstdCodec()])
+    (folder / "pairs.zarr" / "site" / "c" / "0").write_bytes(numcodecs.Zstd(1).encode(np.zeros(200 * MB, np.uint8)))
+    return lambda: open_pairs(folder)
+
+
 FILES = {
     weights_compressed: r"a\.pt: .*unpacks to 67,\d+,\d+ bytes; allowed are \d{6}|a\.pt: .*unpacks to",
     weights_of_the_first_versions: r"a\.pt: .*not a whole archive",
@@ -273,6 +293,8 @@ FILES = {
     mask_of_pairs: r"mask: unpacks to 289,000,000 bytes",
     beam_of_pairs: r"pairs\.zarr: unpacks to 1,000,000,000,000 bytes",
     frames_of_pairs: r"target: is uint8 of \(1, 10000, 10000\) .*; its data set has uint8 of \(1, 6, 4\)",
+    unpacked_frame_of_pairs: r"target/c/0/0/0, 'target' of frames 0 to 0, is damaged",
+    unpacked_sites_of_pairs: r"site is damaged \(a chunk declares 209,715,200 bytes; its array has 4 in each\)",
     chunk_of_pairs: r"site: unpacks to 314,572,800 bytes",
 }
 

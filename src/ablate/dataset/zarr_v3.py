@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import zarr
 from zarr.abc.codec import Codec
-from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec, ShardingCodec, ZstdCodec
+from zarr.codecs import BytesCodec, Crc32cCodec, ShardingCodec
 from zarr.errors import NodeNotFoundError
 
+from ablate.dataset.bounded_codecs import BoundedBlosc, BoundedZstd
 from ablate.storage import check_unpacked
 
 # Of several threads Zarr starts some later, which without memory may never return (CPython 140746).
 zarr.config.set({"threading.max_workers": 1, "async.timeout": 300})
 
-_WRITTEN = (BytesCodec, ShardingCodec, BloscCodec, ZstdCodec, Crc32cCodec)
+_READ = (BytesCodec, ShardingCodec, BoundedBlosc, BoundedZstd, Crc32cCodec)
 
 
 def open_group(path: Path) -> zarr.Group:
@@ -36,8 +37,8 @@ def open_array(path: Path) -> zarr.Array:
     except NodeNotFoundError as error:
         raise ValueError(f"{path}: is no array of Zarr version 3, and nothing else is read") from error
     for codec in _with_inner(array.metadata.codecs):
-        if type(codec) not in _WRITTEN:
-            allowed = ", ".join(kind.__name__ for kind in _WRITTEN)
+        if type(codec) not in _READ:
+            allowed = ", ".join(kind.__name__ for kind in _READ)
             raise ValueError(f"{path}: is stored with {type(codec).__name__}; allowed are {allowed}")
     check_unpacked(path, math.prod(array.chunks) * array.dtype.itemsize)  # one is unpacked whole
     return array

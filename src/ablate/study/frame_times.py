@@ -30,7 +30,7 @@ from ablate.training import TrainingPrecision, chosen_device, generated_images, 
 TIMES = "frame_times.csv"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
 _KEPT = {"machine": str, "network": str, "round": int, "part": str, "ms": float}
-_MOST_WEIGHTS = 2**26  # the largest network of the paper's width has 5.8e7
+_MOST_WEIGHTS = 2**26  # the largest network of the paper's width has 5.9e7
 _FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
 Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
 Rendering = Callable[[np.ndarray, int, dict[str, np.ndarray]], np.ndarray]  # of frames, draw of noise, maps
