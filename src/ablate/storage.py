@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and the digest of what is written as JSON."""
+"""Files that are written whole or not at all, that are bounded before they are read, and the digest of JSON."""
 
 import glob
 import hashlib
@@ -10,9 +10,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
 from filelock import FileLock, Timeout
+
+#: Bytes that a file of results may unpack to, however small it is: one picture of 16384 x 16384 px, the largest that
+#: the simulator makes, or 190 of the paper's; tables of scores and arrays of poses are far smaller.
+MOST_UNPACKED = 2**28
 
 
 @contextmanager
@@ -89,6 +94,41 @@ def known_json(path: Path) -> dict[str, Any]:
     with suppress(OSError, ValueError):
         return read_json(path)
     return {}
+
+
+def check_unpacked(path: Path | str, declared: int, most: int = MOST_UNPACKED) -> None:
+    """Refuse, by a ValueError, a file whose header declares more bytes than may be unpacked; it may be a stranger's."""
+    if declared > most:
+        raise ValueError(f"{path}: unpacks to {declared:,} bytes; allowed are {most:,}")
+
+
+def check_archive(path: Path, most: int | None = None) -> None:
+    """Refuse a zip archive, as those of NumPy and torch are, for what its directory says of its parts.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    most : int, optional
+        Bytes that all parts together may have; without it those of the file, as nothing in it is compressed.
+
+    Raises
+    ------
+    ValueError
+        Where it is no whole archive, its parts have more bytes, or they are compressed in another way than by deflate:
+        Python unpacks these whole, whatever the directory says.
+    """
+    try:
+        with ZipFile(path) as archive:
+            parts = archive.infolist()
+    except BadZipFile as error:
+        raise ValueError(f"{path}: not a whole archive ({error})") from error
+    for part in parts:
+        if part.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            raise ValueError(
+                f"{path}: {part.filename} is compressed by method {part.compress_type}; allowed is deflate"
+            )
+    check_unpacked(path, sum(part.file_size for part in parts), path.stat().st_size if most is None else most)
 
 
 def digest_of_files(paths: Iterable[Path]) -> str:

@@ -1,5 +1,6 @@
 """Trained generators: what is loaded renders as the network does by hand, and files come back as they were."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,14 +12,15 @@ import ablate
 from ablate.anatomy import Scene, Tissue, fetal_abdomen, fetal_planes, load_tissues
 from ablate.dataset import Encoding, label_values
 from ablate.metrics import psnr
-from ablate.networks import Generator, GeneratorSpec
-from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save, values_of
+from ablate.networks import Generator, GeneratorSpec, Space
+from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save, trained_with, values_of
 from ablate.setting import plain
 from ablate.ultrasound import (
     Beam,
     ConvexProbe,
     Frame,
     LinearProbe,
+    PhasedProbe,
     ScanConverter,
     Simulator,
     SimulatorSettings,
@@ -137,6 +139,74 @@ def test_frames_of_another_probe_are_refused(frame: Frame) -> None:
     scene = Scene((), load_tissues()["liver"], "liver")
     settings = SimulatorSettings.low_quality(scanlines=8, axial_samples=64, image_shape=(16, 24))
     assert Simulator(scene, LinearProbe(), settings).render(np.eye(4)).probe == LinearProbe()
+
+
+CURVE = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
+SEEN = {
+    "dynamic_range_db": (40.0, r"dynamic_range_db=60\.0 \(here 40\.0\)"),
+    "reference_level": (0.01, r"reference_level=0\.1 \(here 0\.01\)"),
+    "noise_floor_db": (-30.0, r"noise_floor_db=-45\.0 \(here -30\.0\)"),
+    "scatterer_level_db": (-40.0, r"scatterer_level_db=-50\.0 \(here -40\.0\)"),
+    "axial_fwhm_mm": (0.9, r"axial_fwhm_mm=0\.3 \(here 0\.9\)"),
+    "lateral_fwhm_mm": (2.0, r"lateral_fwhm_mm=0\.8 \(here 2\.0\)"),
+    "depth_mode": ("time_of_flight", r"depth_mode=geometric \(here time_of_flight\)"),
+    "tgc_db_cm_mhz": (0.6, r"time gain 0 13\.7 .* 96 dB \(here 0 20\.6 .* 144 dB\)"),
+    "time_gain_db": (CURVE, r"time gain 0 13\.7 .* 96 dB \(here 0 1 2 3 4 5 6 7 dB\)"),
+    "image_shape": ((32, 44), r"pixels of 2\.\d\d x 2\.\d\d mm \(here 4\.\d\d x 4\.\d\d mm\)"),
+    "scanlines": (24, r"rows x scanlines of 32 x 12 \(here 32 x 24\)"),
+    "axial_samples": (128, r"rows x scanlines of 32 x 12 \(here 64 x 12\)"),
+}
+UNSEEN = {"rays": 2, "layers": 1, "path_seed": 7, "precision": "float64", "plan": "full", "device": "cuda"}
+
+
+@pytest.mark.parametrize(("name", "value", "said"), [(name, *case) for name, case in SEEN.items()])
+def test_a_frame_of_settings_that_a_network_sees_is_warned_of_by_name(name: str, value: object, said: str) -> None:
+    renderer = made()
+    here = replace(renderer.simulator, **{name: value})
+    assert re.fullmatch(f"trained with {said}", trained_with((PROBE, renderer.simulator), (PROBE, here), Space.beam))
+
+
+@pytest.mark.parametrize("space", list(Space))
+@pytest.mark.parametrize(("name", "value"), UNSEEN.items())
+def test_what_a_network_does_not_see_is_not_warned_of(name: str, value: object, space: Space) -> None:
+    simulator = made().simulator
+    assert trained_with((PROBE, simulator), (PROBE, replace(simulator, **{name: value})), space) == ""
+
+
+def test_a_time_gain_is_compared_as_a_curve_however_it_was_set() -> None:
+    simulator = made().simulator
+    curve = tuple(np.linspace(0, 2 * 0.4 * PROBE.frequency_mhz * PROBE.depth_mm / 10, 8))
+    assert trained_with((PROBE, simulator), (PROBE, replace(simulator, time_gain_db=curve)), Space.beam) == ""
+    patient = replace(simulator, tgc="patient", time_gain_db=CURVE)
+    still_open = replace(patient, time_gain_db=None)
+    assert trained_with((PROBE, patient), (PROBE, still_open), Space.beam) == ""
+    assert "time gain 0 1 2" in trained_with((PROBE, patient), (PROBE, simulator), Space.beam)
+    assert "(here of each patient)" in trained_with((PROBE, simulator), (PROBE, still_open), Space.beam)
+
+
+def test_all_differences_of_two_probes_are_named() -> None:
+    """The aperture is a value of this probe and of the simulator: neither hides the other."""
+    probe, simulator = PhasedProbe(), made().simulator
+    other = replace(probe, aperture_mm=15.0, frequency_mhz=3.0)
+    said = trained_with((probe, simulator), (other, replace(simulator, aperture_mm=0.4)), Space.image)
+    assert "aperture_mm=20.0 (here 15.0), frequency_mhz=2.5 (here 3.0)" in said
+    assert "aperture_mm=0.2 (here 0.4)" in said
+
+
+def test_a_rendering_warns_once_of_a_simulators_frame_and_not_of_one_made_elsewhere(frame: Frame) -> None:
+    """Warnings are errors in tests, so frames as those of the training, and of unknown settings, are quiet."""
+    renderer = made()
+    scene = Scene((), TISSUES[0], "soft tissue")
+    settings = replace(renderer.simulator, rays=1, layers=1)
+    of_training = Simulator(scene, PROBE, settings).render(np.eye(4))
+    assert of_training.simulator == settings
+    image = renderer.render(of_training, TISSUES)
+    renderer.render(frame, TISSUES)
+    dark = Simulator(scene, PROBE, replace(settings, dynamic_range_db=40.0, reference_level=1.0)).render(np.eye(4))
+    with pytest.warns(UserWarning, match=r"dynamic_range_db=60\.0 \(here 40\.0\), reference_level=0\.1") as said:
+        np.testing.assert_array_equal(renderer.render(dark, TISSUES), image)
+    assert len(said) == 1
+    assert Path(said[0].filename).name == Path(__file__).name, "it points at who renders"
 
 
 def test_labels_without_a_tissue_and_tissues_of_other_properties_are_refused(frame: Frame) -> None:

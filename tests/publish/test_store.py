@@ -51,6 +51,41 @@ def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
     assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
 
 
+NAMES = ["a b", "50%20off", "100%", "a%2Fb", "a%25b", "why?", "a#b", "a&b=c", "it's", "\u00e4", "a:b@c"]
+
+
+@pytest.mark.parametrize("is_named", [False, True], ids=["the default store", "tracking.uri"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_folder_of_any_name_holds_a_store_and_nothing_is_written_beside_it(
+    runs: Path, tmp_path: Path, name: str, is_named: bool
+) -> None:
+    """What a URI has as escapes and options may stand in the name of a folder."""
+    top = tmp_path / "top"
+    folder = top / name / "runs"
+    folder.mkdir(parents=True)
+    shutil.copy(runs / "mlflow.db", folder)
+    store = opened(folder, default_uri(folder) if is_named else None)
+    run = store.create("a run", "job", {"hash": "1"})
+    (tmp_path / "shown.txt").write_text("as it was")
+    store.log_files(run.info.run_id, [tmp_path / "shown.txt"])
+    found = opened(folder, default_uri(folder) if is_named else None).find("job", {"hash": "1"})
+    assert found is not None
+    assert found.info.run_id == run.info.run_id
+    with closing(sqlite3.connect(folder / "mlflow.db")) as connection:
+        assert connection.execute("SELECT run_uuid FROM runs").fetchall() == [(run.info.run_id,)]
+    assert [path.name for path in top.iterdir()] == [name]
+    if not is_named:
+        (artifact,) = top.rglob("shown.txt")
+        assert artifact.is_relative_to(folder / "artifacts")
+
+
+def test_a_database_is_made_in_a_folder_whose_name_is_an_escape(tmp_path: Path) -> None:
+    folder = tmp_path / "50%20off?"
+    assert opened(folder).uri == default_uri(folder)
+    assert {path.name for path in folder.iterdir()} == {"mlflow.db", ".mlflow.lock"}
+    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+
+
 def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path: Path) -> None:
     uri = default_uri(runs)
     studies = [study_in(tmp_path / name, uri) for name in ("anna", "ben")]

@@ -74,6 +74,23 @@ def test_any_number_of_samples_a_row(each: int) -> None:
         assert abs(image[20:].mean() - beam.image[20:].mean()) < 12
 
 
+def test_what_lies_outside_the_fan_has_no_tissue(beam) -> None:
+    """Label 0 is none of the tissues, also not the last, as an index of -1 would be; what is far off is as before."""
+    bone = replace(load_tissues()["bone"], texture_contrast_db=0.0)
+    formula = Formula([TISSUE, bone], PROBE, SETTINGS)
+    labels = beam.segmentation.copy()
+    labels[:, :20] = 0
+    maps = _maps(beam)
+    whole, cut = (formula(formula.insonified(maps | {"segmentation": read}), 0) for read in (beam.segmentation, labels))
+    assert whole[:, :20].any()
+    assert not cut[:, :20].any()
+    np.testing.assert_array_equal(cut[:, 48:], whole[:, 48:])
+    assert cut[:, 20:30].mean() < whole[:, 20:30].mean(), "no light comes from there"
+    labels[0, 0] = 3
+    with pytest.raises(ValueError, match="a label is 3, and there are 2 tissues"):
+        formula(formula.insonified(maps | {"segmentation": labels}), 0)
+
+
 def test_nothing_that_scatters_is_the_amplifiers_noise() -> None:
     gel = load_tissues()["coupling_gel"]
     formula = Formula([gel], PROBE, SETTINGS)

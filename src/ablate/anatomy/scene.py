@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ablate.anatomy.tissue import Tissue, load_tissues
-from ablate.storage import written_whole
+from ablate.storage import check_archive, written_whole
 
 if TYPE_CHECKING:
     import trimesh
@@ -152,6 +152,7 @@ def _read(path: Path) -> Scene:
     import trimesh
 
     table = load_tissues()
+    check_archive(path)
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as held:
         background, name = (str(text) for text in held["scene"][:2])
         ends = np.cumsum(held["counts"], axis=0)[:-1]

@@ -15,7 +15,7 @@ import numpy as np
 
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
-from ablate.dataset.zarr_v3 import open_array, read_whole
+from ablate.dataset.zarr_v3 import open_frames, read_whole
 from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES, Space
 from ablate.setting import shown
 from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps
@@ -223,7 +223,8 @@ class Pairs:
         if not file.exists():  # Zarr would read zeros
             raise FileNotFoundError(f"{file}: not made yet; {MEND} makes it")
         if name not in self._arrays:
-            self._arrays[name] = open_array(self._array_folder(name))
+            shape = len(self), *self.stored_shape
+            self._arrays[name] = open_frames(self._array_folder(name), shape, FORMATS[name][0])
         try:
             return np.asarray(self._arrays[name][frames])
         except (ValueError, RuntimeError) as error:

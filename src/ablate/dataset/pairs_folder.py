@@ -14,7 +14,7 @@ from ablate.dataset.pairs import MEND, PAIRS_VERSION, Pairs
 from ablate.dataset.zarr_v3 import open_group, read_whole
 from ablate.networks.spec import Space
 from ablate.setting import plain
-from ablate.storage import write_json
+from ablate.storage import check_unpacked, write_json
 from ablate.ultrasound import Probe
 from ablate.ultrasound.settings import probe_from
 
@@ -118,6 +118,7 @@ def open_pairs(folder: str | Path) -> Pairs:
         )
     height, width = read_whole(path / "mask").shape
     rows, scanlines = attributes["beam_shape"]
+    check_unpacked(path, int(rows) * int(scanlines))
     return Pairs(
         folder=folder,
         poses=read_whole(path / "pose"),

@@ -29,3 +29,5 @@ from .spec import input_channels as input_channels
 from .spec import inputs as inputs
 from .spec import judged as judged
 from .spec import map_channels as map_channels
+from .stored import read_stored as read_stored
+from .stored import stored_generator as stored_generator

@@ -12,6 +12,7 @@ from torch.nn.parameter import UninitializedParameter
 
 from ablate.networks.custom import CustomNetwork
 from ablate.networks.spec import GeneratorSpec, input_channels
+from ablate.networks.stored import check_calls
 from ablate.user_code import describe_error, load_anew
 
 _STEPS = 2  # of a trial
@@ -143,6 +144,7 @@ def read_back(state: Mapping[str, Any], where: str) -> dict[str, Any]:
         in_memory = BytesIO()
         try:
             torch.save(value, in_memory)
+            check_calls(in_memory)
             in_memory.seek(0)
             read[name] = torch.load(in_memory, map_location="cpu", weights_only=True)
         except Exception as error:  # pickle raises many kinds

@@ -1,3 +1,4 @@
+from .other_settings import trained_with as trained_with
 from .renderer import NAMES as NAMES
 from .renderer import OUTSIDE as OUTSIDE
 from .renderer import Renderer as Renderer

@@ -1,5 +1,6 @@
 """A trained generator with all that it needs to render a frame: its weights, its values of labels, and its setting."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -11,7 +12,8 @@ import torch
 
 from ablate import dataset
 from ablate.anatomy import Tissue
-from ablate.networks import Generator, GeneratorSpec, Space, conditions
+from ablate.networks import Generator, GeneratorSpec, Space, conditions, read_stored, stored_generator
+from ablate.pretrained.other_settings import trained_with
 from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
@@ -37,7 +39,8 @@ class Renderer:
         The values in [-1, 1] that the generator reads for each tissue, and `OUTSIDE` for those outside the fan.
     probe, simulator
         Of its training frames: `Simulator(scene, renderer.probe, renderer.simulator)` makes frames as they were. Frames
-        of other settings are rendered, but not well: the generator has learnt the speckle and the gain of these.
+        of other settings are rendered, with a warning and not well: the generator has learnt the speckle and the gain
+        of these.
     made : mapping of str to str
         Study, variant, seed and commit of the training.
     """
@@ -60,7 +63,8 @@ class Renderer:
         Parameters
         ----------
         frame : Frame
-            One made elsewhere does not tell its probe, and is refused only for another shape of the fan.
+            One made elsewhere, which does not tell its probe and its settings, is refused only for another shape of the
+            fan, and nothing is said of its settings.
         tissues : sequence of Tissue
             Behind the labels 1, 2, ... of the frame's segmentation, as `Scene.tissues`.
         seed : int
@@ -77,6 +81,11 @@ class Renderer:
         ------
         ValueError
             For a tissue or a probe that was not in the training.
+
+        Warns
+        -----
+        UserWarning
+            Where the settings of the frame change what the network sees: it names them, with their two values.
         """
         values = self._values_of_labels(tissues)
         largest_label = int(frame.segmentation.max(initial=0))
@@ -85,6 +94,10 @@ class Renderer:
         if frame.probe not in (None, self.probe):
             raise ValueError(f"the frame is one of {frame.probe}, the generator was trained with {self.probe}")
         space = self.generator.spec.space
+        if frame.simulator is not None:
+            said = trained_with((self.probe, self.simulator), (self.probe, frame.simulator), space)
+            if said:
+                warnings.warn(f"the generator was {said}: it renders this frame worse", UserWarning, stacklevel=2)
         if space is Space.beam and frame.beam is None:
             raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
         beam = frame.beam or Beam(frame.segmentation, frame.attenuation)  # which a generator of images does not read
@@ -147,7 +160,7 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
     if not path.is_file():
         raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and files that `save` wrote")
     try:
-        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        content: dict[str, Any] = read_stored(path)
         target = dict(content["spec"]).get("target")
         check_named(path, target, custom, "custom")
         return _renderer_of(content)
@@ -159,11 +172,10 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
 
 def _renderer_of(content: Mapping[str, Any]) -> Renderer:
     """The renderer whose file holds this."""
-    generator = Generator(GeneratorSpec(**content["spec"]), content["labels"])
-    generator.load_state_dict(content["weights"])
+    generator = stored_generator(GeneratorSpec(**content["spec"]), content["labels"], content["weights"])
     return Renderer(
         generator=generator.eval(),
-        values={name: tuple(of_tissue) for name, of_tissue in content["values"].items()},
+        values={name: tuple(map(float, of_tissue)) for name, of_tissue in content["values"].items()},
         probe=probe_from(content["probe"]),
         simulator=SimulatorSettings(**content["simulator"]),
         made=content["made"],

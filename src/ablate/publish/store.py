@@ -18,6 +18,7 @@ from filelock import FileLock
 from mlflow import MlflowClient
 from mlflow.entities import Experiment, Metric, Run
 from mlflow.exceptions import MlflowException
+from sqlalchemy.engine import URL, make_url
 
 from ablate.settings.study import StudySettings
 from ablate.storage import remove_partial, write_text, written_whole
@@ -122,7 +123,24 @@ def _quoted(value: str) -> str:
 
 def default_uri(runs: Path) -> str:
     """The SQLite file in a folder of runs."""
-    return f"sqlite:///{runs / 'mlflow.db'}"
+    return _sqlite_uri(runs / "mlflow.db")
+
+
+def _sqlite_uri(path: Path) -> str:
+    """The address of an SQLite file; `%` and `?` of its folders are escaped where SQLAlchemy would read them as such.
+
+    The driver is named then, because MLflow makes the folders of `sqlite:///` itself, by their escaped names.
+    """
+    uri = f"sqlite:///{path}"
+    return uri if _database(uri) == path else URL.create("sqlite+pysqlite", database=str(path)).render_as_string()
+
+
+def _database(uri: str) -> Path | None:
+    """The SQLite file at an address; None for other stores, for one in memory, and where the address has options."""
+    url = make_url(uri) if uri.startswith("sqlite") else None
+    if url is None or url.host or url.query or url.database in (None, "", ":memory:"):
+        return None
+    return Path(str(url.database))
 
 
 def store_uri(settings: StudySettings) -> str:
@@ -225,8 +243,8 @@ def _replace(path: Path, why: str) -> None:
 
 def _make_database(uri: str) -> None:
     """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone."""
-    path = Path(uri.removeprefix("sqlite:///"))
-    if not uri.startswith("sqlite:///") or "?" in uri or path.exists():
+    path = _database(uri)
+    if path is None or path.exists():
         return
     with FileLock(f"{path}.lock", timeout=_LOCK_S):  # another folder of runs may make the same file
         if not path.exists():
@@ -239,7 +257,7 @@ def _make(path: Path) -> None:
     for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
         Path(f"{path}{suffix}").unlink(missing_ok=True)
     with written_whole(path) as partial:
-        MlflowClient(f"sqlite:///{partial}").search_experiments()
+        MlflowClient(_sqlite_uri(partial)).search_experiments()
 
 
 def _is_whole(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """MLflow's run of a study: its comparison, and the runs of its trainings below it."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -73,7 +74,7 @@ def _how_to_look(uri: str) -> str:
     if uri.startswith("http"):
         return uri
     has_make = Path("Makefile").exists() and uri == default_uri(Path("runs").resolve())
-    return "make ui" if has_make else f"mlflow ui --workers 1 --backend-store-uri {uri}"
+    return "make ui" if has_make else f"mlflow ui --workers 1 --backend-store-uri {shlex.quote(uri)}"
 
 
 def _publish(store: Store, settings: StudySettings, study: Study, notes: Sequence[str]) -> None:

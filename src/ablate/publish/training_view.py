@@ -20,7 +20,7 @@ from ablate.setting import flat
 from ablate.settings.conf import build, components, components_of_networks, named_components
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
-from ablate.storage import digest
+from ablate.storage import check_unpacked, digest
 from ablate.study.log import Log, LoggedImage, Status, read_log
 from ablate.study.provenance import ABOUT_CODE
 from ablate.study.training import Training
@@ -210,5 +210,6 @@ def _publish_images(client: MlflowClient, run_id: str, images: Sequence[LoggedIm
     published = {Path(file.path).name.partition("+timestamp+")[0] for file in files}
     for image in sorted(images, key=lambda image: (image.step, image.key)):
         if f"{image.key.replace('/', '~')}+step+{image.step}" not in published:
-            with Image.open(image.path) as opened:
+            with Image.open(image.path, formats=["PNG"]) as opened:
+                check_unpacked(image.path, opened.width * opened.height * len(opened.getbands()))
                 client.log_image(run_id, np.asarray(opened), key=image.key, step=image.step)

@@ -15,7 +15,7 @@ from ablate.analysis import REFERENCE
 from ablate.dataset import Part, equally_spaced
 from ablate.evaluation import formula_images, formula_maps, time_in_turns
 from ablate.metrics.metric import BOUNDS, FORMULA, FRAME_TIME
-from ablate.networks import Family, Generator, Space, conditions
+from ablate.networks import Family, Generator, Space, conditions, count_generator
 from ablate.setting import shown
 from ablate.settings.study import StudySettings
 from ablate.sources.data_set import DataSet
@@ -30,6 +30,7 @@ from ablate.training import TrainingPrecision, chosen_device, generated_images, 
 TIMES = "frame_times.csv"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
 _KEPT = {"machine": str, "network": str, "round": int, "part": str, "ms": float}
+_MOST_WEIGHTS = 2**26  # the largest network of the paper's width has 5.9e7
 _FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
 Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
 Rendering = Callable[[np.ndarray, int, dict[str, np.ndarray]], np.ndarray]  # of frames, draw of noise, maps
@@ -222,6 +223,10 @@ def _prepared(run: Run, data: DataSet, device: torch.device) -> _Network:
     elif settings.model.target is not None:
         raise ValueError(f"{training.folder} names code, model.target={shown(settings.model.target)}")
     else:  # the weights that a training starts with
+        weights = count_generator(settings.model, values.shape[1])  # what a stranger's folder asks for in a few bytes
+        if weights > _MOST_WEIGHTS:
+            lacking = f"{training.folder} has no checkpoint, and a network of {weights:,} weights"
+            raise ValueError(f"{lacking}; allowed are {_MOST_WEIGHTS:,} without one")
         generator = Generator(settings.model, values.shape[1]).eval()
     precision = TrainingPrecision[run.identity["training"]["precision"]]
     render = generated_images(generator.to(device), data.pairs, values, precision)

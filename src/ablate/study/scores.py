@@ -20,10 +20,12 @@ import pyarrow.parquet as pq
 from ablate.evaluation import Scores
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
-from ablate.storage import remove_partial, written_whole
+from ablate.setting import shown
+from ablate.storage import check_unpacked, remove_partial, written_whole
 from ablate.user_code import code_digest, load
 
 _METADATA = b"ablate"
+_BYTES_OF_A_VALUE = 8
 _SHORT = 8  # hexadecimal digits of digests in the names of files
 #: How a file is written: its table is so short that what Parquet tells of it would be most of the file.
 _AS_SMALL: Mapping[str, Any] = {
@@ -135,7 +137,7 @@ def write_score(folder: Path, key: ScoreKey, score: Score) -> None:
 def is_whole(path: Path) -> bool:
     """Whether there is a score that can be read."""
     try:
-        _about(pq.read_schema(path).metadata)
+        _about(_checked(path).metadata)
     except (OSError, ValueError):  # pyarrow's are ValueErrors
         return False
     return True
@@ -144,15 +146,30 @@ def is_whole(path: Path) -> bool:
 def read_score(path: Path) -> Score:
     """Read a score; a ValueError that names the file where it is damaged, or holds other metrics than its name says."""
     try:
-        table = pq.read_table(path)
-        about = _about(table.schema.metadata)
-        values = table.to_pandas()
+        schema = _checked(path)
+        about = _about(schema.metadata)
+        texts = [column.name for column in schema if pa.types.is_string(column.type)]
+        table = pq.read_table(path, read_dictionary=texts)  # a text that is long is held once
+        values = table.to_pandas().astype(dict.fromkeys(texts, object))
         metrics = set(values["metric"])
     except (OSError, ValueError, KeyError) as error:
         raise ValueError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
     if metrics - {path.name.partition("@")[0]}:
-        raise ValueError(f"{path}: holds values of {', '.join(sorted(map(str, metrics)))}")
+        raise ValueError(f"{path}: holds values of {shown(sorted(map(str, metrics)))}")
     return Score(values, about["scalars"], tuple(about["notes"]), about["scored"])
+
+
+def _checked(path: Path) -> pa.Schema:
+    """The columns of a file whose footer declares no more than may be unpacked, and whose values are plain."""
+    with pq.ParquetFile(path) as file:
+        about, schema = file.metadata, file.schema_arrow
+    plain = (pa.types.is_string, pa.types.is_integer, pa.types.is_floating)
+    for column in schema:
+        if not any(is_kind(column.type) for is_kind in plain):
+            raise ValueError(f"{column.name} is {column.type}; allowed are numbers and text")
+    stored = sum(about.row_group(number).total_byte_size for number in range(about.num_row_groups))
+    check_unpacked(path, max(stored, about.num_rows * about.num_columns * _BYTES_OF_A_VALUE))
+    return schema
 
 
 def _about(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any]:

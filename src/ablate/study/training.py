@@ -21,7 +21,7 @@ from filelock import FileLock
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.sources.data_set import DataSet
-from ablate.storage import digest, digest_of_files, known_json, write_json
+from ablate.storage import MOST_UNPACKED, check_archive, digest, digest_of_files, known_json, write_json
 from ablate.study.scores import ScoreKey, is_whole
 from ablate.training.settings import LAST
 
@@ -95,6 +95,7 @@ class Training:
     def pictures(self) -> dict[int, np.ndarray]:
         """Rendered frames, (H, W) uint8, by their number in the data set; none where the file is missing or damaged."""
         try:
+            check_archive(self.pictures_file, MOST_UNPACKED)
             with np.load(self.pictures_file) as kept:
                 return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
         except FileNotFoundError:

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from ablate.networks import Generator, GeneratorSpec
+from ablate.networks import Generator, GeneratorSpec, read_stored, stored_generator
 from ablate.storage import remove_partial, written_whole
 from ablate.training.settings import TrainingSettings
 from ablate.user_code import check_named, code_digest
@@ -32,7 +32,7 @@ def load_snapshot(folder: Path, step: int, like: Generator) -> Generator:
     path = _snapshot(folder, step)
     generator = deepcopy(like)
     try:
-        generator.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
+        generator.load_state_dict(read_stored(path))
     except Exception as error:  # torch raises many kinds
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: not the weights of this network ({reason:.200}); remove {folder}") from error
@@ -46,7 +46,7 @@ def _snapshot(folder: Path, step: int) -> Path:
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint with `weights_only=True`; a ValueError where the file is not one of this project."""
     try:
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+        checkpoint = read_stored(path)
     except FileNotFoundError:
         raise
     except Exception as error:
@@ -72,10 +72,9 @@ def load_generator(path: Path, custom: str | None = None) -> Generator:
     try:
         prefix = "average." if TrainingSettings(**stored["settings"]).ema_decay > 0 else "generator."
         weights = checkpoint["state_dict"].items()
-        with torch.random.fork_rng():
-            generator = Generator(GeneratorSpec(**stored["spec"]), stored["labels"])
-        generator.load_state_dict({key.removeprefix(prefix): value for key, value in weights if key.startswith(prefix)})
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        own = {key.removeprefix(prefix): value for key, value in weights if key.startswith(prefix)}
+        generator = stored_generator(GeneratorSpec(**stored["spec"]), stored["labels"], own)
+    except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error
     return generator.requires_grad_(False).eval()

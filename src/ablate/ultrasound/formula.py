@@ -29,7 +29,7 @@ _SILENT_DB = -300.0
 class Insonified:
     """What the formula reads of a frame in beam space."""
 
-    labels: np.ndarray  # (rows, scanlines) uint8, 1 for the first tissue
+    labels: np.ndarray  # (rows, scanlines) uint8, 1 for the first tissue, 0 outside the fan
     sound_db: np.ndarray  # (rows, scanlines) float: what reaches a point and returns, with the time gain; two-way
     echo: np.ndarray | None = None  # (rows, scanlines) float: amplitude of surface echoes, 1 of white
     grain: np.ndarray | None = None  # (rows, scanlines, 2) complex: the lattice of scatterers; None: white noise
@@ -66,7 +66,7 @@ class Formula:
         white_db = 20 * np.log10(settings.reference_level)
         power = np.array([tissue.scatter_power for tissue in tissues])
         own_db = 10 * np.log10(power, where=power > 0, out=np.full(len(power), _SILENT_DB))
-        self._level_db = own_db + settings.scatterer_level_db - white_db
+        self._level_db = np.append(_SILENT_DB, own_db + settings.scatterer_level_db - white_db)  # by label
         gain_db = time_gain_db(sample_depths_mm(probe, settings.axial_samples), probe, settings.time_gain)
         self._gain_of_rows_db = time_gain_db(sample_depths_mm(probe, rows), probe, settings.time_gain)[:, None]
         self._floor = 10 ** ((settings.noise_floor_db + gain_db - gain_db.max()) / 20)
@@ -85,10 +85,15 @@ class Formula:
         return Insonified(maps["segmentation"], sound_db, echo, maps.get("grain"))
 
     def __call__(self, frame: Insonified, seed: int) -> np.ndarray:
-        """Render a frame in beam space, (rows, scanlines) uint8; `seed` is of all noise that is not given."""
+        """Render a frame in beam space, (rows, scanlines) uint8; `seed` is of all noise that is not given.
+
+        It is 0 outside the fan. A label without a tissue is a ValueError.
+        """
+        if int(frame.labels.max(initial=0)) >= len(self._level_db):
+            raise ValueError(f"a label is {frame.labels.max()}, and there are {len(self._level_db) - 1} tissues")
         random = np.random.default_rng(seed)
         each = self.settings.samples_per_row
-        amplitude = 10 ** ((self._level_db[frame.labels.astype(np.int64) - 1] + frame.sound_db) / 20)
+        amplitude = 10 ** ((self._level_db[frame.labels] + frame.sound_db) / 20)
         if frame.grain is None:
             white = random.standard_normal((2, *self._samples(amplitude).shape)) / np.sqrt(2)
         else:
@@ -103,7 +108,7 @@ class Formula:
         signal += self._band_limited(random) * self._floor
         power = np.square(signal, dtype=np.float64).sum(axis=0)
         grey_levels(power, self.settings.dynamic_range_db)
-        return np.rint(means_of_rows(power, self.settings)).astype(np.uint8)
+        return np.where(frame.labels > 0, np.rint(means_of_rows(power, self.settings)), 0).astype(np.uint8)
 
     def _samples(self, values: np.ndarray) -> np.ndarray:
         """Values of rows, (rows, scanlines), at samples, (scanlines, samples)."""

@@ -14,12 +14,13 @@ import torch
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
+from ablate.ultrasound.frame import Beam, Frame
 from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
 from ablate.ultrasound.imaging.lattice import body_lines, grain, pose_in_body
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, check_seed, fan_of
-from ablate.ultrasound.settings import Beam, ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
+from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
@@ -142,6 +143,7 @@ class Simulator:
             envelope=np.ascontiguousarray(envelope.T, np.float32),
             beam=replace(self.beam_maps(pose), image=image, grain=self.grain(pose, seed)),
             probe=self.probe,
+            simulator=self.settings,
         )
 
     @without_teams()

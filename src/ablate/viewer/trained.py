@@ -9,17 +9,10 @@ import torch
 from ablate.dataset import maps_read, network_inputs
 from ablate.dataset.frame_maps import FrameMaps
 from ablate.networks import Space, conditions
-from ablate.pretrained import Renderer
-from ablate.setting import identity, plain
-from ablate.study.job import differences
-from ablate.ultrasound import Probe, SimulatorSettings, scan_converter
-from ablate.ultrasound.probe import pixel_size_mm
+from ablate.pretrained import Renderer, trained_with
+from ablate.ultrasound import Probe, scan_converter
 from ablate.viewer.fast_generator import FastGenerator
 from ablate.viewer.session import ViewerState
-
-# Sizes, which are said otherwise; how exactly an image is computed; and what the viewer's own curve changes.
-_NO_LOOK = frozenset({"image_shape", "scanlines", "axial_samples", "rays", "layers", "path_seed", "time_gain_db"})
-_ALIKE = 0.05  # of the size of a pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,29 +76,6 @@ class Trained:
 
     def reservation(self, state: ViewerState) -> str:
         """Say in what a state differs from the training; empty if it does not."""
-        reservations = []
-        probe, simulator = self.renderer.probe, self.renderer.simulator
-        unlike = differences(_look(probe, simulator), _look(state.probe, state.simulator))
-        trained_with = ", ".join(f"{key}={trained}" for key, trained, _ in unlike if trained is not None)
-        if trained_with:
-            reservations.append(f"trained with {trained_with}")
-        if state.simulator.time_gain_db not in (None, simulator.time_gain_db):
-            reservations.append("trained with another time gain")
-        shown_mm = pixel_size_mm(state.probe, state.simulator.image_shape)
-        trained_mm = pixel_size_mm(probe, simulator.image_shape)
-        if not np.allclose(shown_mm, trained_mm, rtol=_ALIKE):
-            size = "{0[0]:.2f} x {0[1]:.2f} mm".format
-            reservations.append(f"trained with pixels of {size(trained_mm)}, here they are {size(shown_mm)}")
-        if self.space is Space.beam and state.simulator.beam_shape != simulator.beam_shape:
-            rows, lines = simulator.beam_shape
-            rows_here, lines_here = state.simulator.beam_shape
-            here = f"here they are {rows_here} of {lines_here}"
-            reservations.append(f"trained with {rows} rows of {lines} scanlines, {here}")
-        if self.unknown:
-            reservations.append(self.unknown)
-        return "; ".join(reservations)
-
-
-def _look(probe: Probe, simulator: SimulatorSettings) -> dict[str, object]:
-    """The values of a probe, and of a simulator those that images look different with."""
-    return plain(probe) | {key: value for key, value in identity(simulator).items() if key not in _NO_LOOK}
+        trained = self.renderer.probe, self.renderer.simulator
+        said = trained_with(trained, (state.probe, state.simulator), self.space)
+        return "; ".join(words for words in (said, self.unknown) if words)

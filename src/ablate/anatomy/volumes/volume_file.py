@@ -15,6 +15,7 @@ import numpy as np
 
 from ablate.extras import installing
 from ablate.setting import shown
+from ablate.storage import check_unpacked
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 VOXEL_MM = (0.01, 6.0)  # shortest and longest side; CT has slices of up to 5 mm
@@ -22,6 +23,7 @@ MOST_VOXELS = 2**29  # 512 x 512 x 2048
 _SQUARE = 1e-3  # largest cosine between two axes
 _SLAB_VOXELS = 2**21
 _CHUNK = 2**20  # bytes
+_LARGEST_VALUE = 8  # bytes
 #: NRRD names its world, as left-posterior-superior or LPS; the factors take it to RAS+.
 _SPACES = {"ras": (1, 1, 1), "lps": (-1, -1, 1), "las": (-1, 1, 1)}
 
@@ -117,25 +119,29 @@ def _nifti_slabs(path: Path, parts: list[slice]) -> Iterator[tuple[slice, np.nda
 def _nrrd_slabs(path: Path, parts: list[slice]) -> Iterator[tuple[slice, np.ndarray]]:
     import nrrd
 
-    values, header = nrrd.read(str(path), index_order="F")
-    for part in parts:
-        yield part, values[:, :, part]
+    header = nrrd.read_header(str(path))
     opened: Any = {"g": gzip.open, "b": bz2.open}.get(str(header["encoding"])[:1])
-    if opened:  # pynrrd does not see that the checksum is cut off
+    if opened:  # pynrrd unpacks all there is, and does not see that the checksum is cut off
+        most, unpacked = math.prod(int(n) for n in header["sizes"]) * _LARGEST_VALUE, 0
         with path.open("rb") as stream:
             while stream.readline().strip():
                 pass
             for _ in range(header.get("line skip", header.get("lineskip", 0))):
                 stream.readline()
             with opened(stream) as whole:
-                while whole.read(_CHUNK):
-                    pass
+                while chunk := whole.read(_CHUNK):
+                    unpacked += len(chunk)
+                    check_unpacked(path, unpacked, most)
+    values, _ = nrrd.read(str(path), index_order="F")
+    for part in parts:
+        yield part, values[:, :, part]
 
 
 def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None, str]:
     """Shape, affine, and what its values are where they are not real numbers."""
     import nibabel
 
+    _check_extensions(path)
     image: Any = nibabel.load(path)
     unit = image.header.get_xyzt_units()[0]
     if unit not in ("mm", "unknown"):
@@ -145,6 +151,18 @@ def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None, str]:
     kind = image.get_data_dtype()
     values = {"c": "complex numbers", "V": f"colours ({', '.join(kind.names or ())})"}.get(kind.kind, "")
     return tuple(shape), np.asarray(image.affine, np.float64) if is_known else None, values
+
+
+def _check_extensions(path: Path) -> None:
+    """Refuse a header that declares more text between itself and the voxels than may be unpacked; it is read whole."""
+    from nibabel import Nifti1Header, Nifti2Header
+
+    opened: Any = gzip.open if path.suffix.lower() == ".gz" else open
+    with opened(path, "rb") as stream:
+        start = stream.read(Nifti2Header.sizeof_hdr)
+    for kind in (Nifti1Header, Nifti2Header):
+        if kind.may_contain_header(start):
+            check_unpacked(path, int(kind(start[: kind.sizeof_hdr], check=False)["vox_offset"]))
 
 
 def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None, str]:
