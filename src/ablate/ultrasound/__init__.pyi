@@ -1,3 +1,5 @@
+from .frame import Beam as Beam
+from .frame import Frame as Frame
 from .imaging.bmode import Display as Display
 from .imaging.lattice import grain as grain
 from .patient_gain import with_patient_gain as with_patient_gain
@@ -6,10 +8,8 @@ from .probe import position_maps as position_maps
 from .scan_conversion import ScanConverter as ScanConverter
 from .scan_conversion import scan_converter as scan_converter
 from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION
-from .settings import Beam as Beam
 from .settings import ConvexProbe as ConvexProbe
 from .settings import DepthMode as DepthMode
-from .settings import Frame as Frame
 from .settings import LinearProbe as LinearProbe
 from .settings import PhasedProbe as PhasedProbe
 from .settings import PlanMode as PlanMode

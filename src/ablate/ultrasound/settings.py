@@ -1,14 +1,12 @@
-"""What a frame is made with, the simulator's settings and the probe, as plain values; and the frame itself."""
+"""What a frame is made with, the simulator's settings and the probe, as plain values."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from functools import partial
 from typing import Any, ClassVar
-
-import numpy as np
 
 from ablate.setting import Checked, check_settings, setting, shown
 
@@ -128,6 +126,12 @@ class SimulatorSettings:
         unit="dB",
     )
     depth_mode: DepthMode = setting(DepthMode.geometric, "Where an echo is drawn.")
+    compound_angles: int = setting(
+        1, "Directions that scanlines are steered to, whose envelopes are averaged: an odd number.", least=1, most=9
+    )
+    compound_steer_deg: float = setting(
+        10.0, "Largest of these angles to either side; they are evenly spaced.", least=0, most=30, unit="degrees"
+    )
     plan: PlanMode = setting(PlanMode.auto, "Whether what a scene does not need is left out.", incidental=True)
     precision: SimulatorPrecision = setting(SimulatorPrecision.float32, "Floating point of the signal chain.")
     device: str = setting(
@@ -143,6 +147,16 @@ class SimulatorSettings:
         if self.axial_samples > self.samples_per_row and self.axial_samples % self.samples_per_row:
             allowed = f"multiples of samples_per_row={self.samples_per_row}"
             raise ValueError(f"axial_samples={self.axial_samples}: allowed are {allowed}")
+        if self.compound_angles % 2 == 0:
+            raise ValueError(f"compound_angles={self.compound_angles}: allowed are 1, 3, 5, 7, 9")
+        if self.compound_angles > 1 and self.depth_mode is DepthMode.time_of_flight:
+            raise ValueError(f"compound_angles={self.compound_angles}: allowed with depth_mode=time_of_flight is 1")
+
+    def check_probe(self, probe: Probe) -> None:
+        """Refuse, by a ValueError, to compound images of a probe whose scanlines cannot be steered."""
+        if self.compound_angles > 1 and isinstance(probe, PhasedProbe):
+            why = "its scanlines diverge from one point"
+            raise ValueError(f"compound_angles={self.compound_angles}: allowed with a phased probe is 1, because {why}")
 
     @property
     def beam_shape(self) -> tuple[int, int]:
@@ -156,67 +170,8 @@ class SimulatorSettings:
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
-        """Settings of the low-quality image L: one ray and one layer where `changes` do not say otherwise."""
-        return cls(**({"rays": 1, "layers": 1} | changes))  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class Beam:
-    """A frame before scan conversion; (rows, scanlines) is `SimulatorSettings.beam_shape`.
-
-    Attributes
-    ----------
-    segmentation : (rows, scanlines) uint8
-        i + 1 for `scene.tissues[i]`: the tissue of the sample in the middle of each row.
-    attenuation : (rows, scanlines) float32 in [0, 1]
-        The integral attenuation map.
-    interfaces : (rows, scanlines) float32 in [0, 1]
-        What surfaces return, also by way of one another: -60 to 20 dB about white; empty where not asked for.
-    illumination : (rows, scanlines) float32 in [0, 1]
-        How much sound reaches each point, there and back, with the gain: -48 to 24 dB; empty where not asked for.
-    image : (rows, scanlines) uint8
-        Grey levels.
-    grain : (rows, scanlines, 2) complex64
-        The lattice of scatterers before any tissue (`lattice.grain`); empty where not asked for.
-    """
-
-    segmentation: np.ndarray
-    attenuation: np.ndarray
-    interfaces: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
-    illumination: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
-    image: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.uint8))
-    grain: np.ndarray = field(default_factory=partial(np.empty, (0, 0, 2), np.complex64))
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One simulated frame; (H, W) is `SimulatorSettings.image_shape`.
-
-    Attributes
-    ----------
-    segmentation : (H, W) uint8
-        0 outside the fan, i + 1 for `scene.tissues[i]`.
-    attenuation : (H, W) float32 in [0, 1]
-        The integral attenuation map.
-    image : (H, W) uint8
-        B-mode grey levels.
-    mask : (H, W) bool
-        The fan; equal to `segmentation > 0`.
-    envelope : (axial samples, scanlines) float32
-        Linear envelope before TGC, noise floor and log.
-    beam : Beam or None
-        The same before scan conversion; image and attenuation are made from it. None in a frame made elsewhere.
-    probe : Probe or None
-        What it was simulated with.
-    """
-
-    segmentation: np.ndarray
-    attenuation: np.ndarray
-    image: np.ndarray
-    mask: np.ndarray
-    envelope: np.ndarray
-    beam: Beam | None = None
-    probe: Probe | None = None
+        """Settings of the low-quality image L: one ray, layer and angle where `changes` do not say otherwise."""
+        return cls(**({"rays": 1, "layers": 1, "compound_angles": 1} | changes))  # type: ignore[arg-type]
 
 
 class ProbeKind(StrEnum):

@@ -14,12 +14,13 @@ import torch
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
-from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
+from ablate.ultrasound.frame import Beam, Frame
+from ablate.ultrasound.imaging.bmode import Display, Prepared, Returned, SignalChain
 from ablate.ultrasound.imaging.lattice import body_lines, grain, pose_in_body
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, check_seed, fan_of
-from ablate.ultrasound.settings import Beam, ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
+from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
@@ -88,6 +89,7 @@ class Simulator:
         elif beside.scene is not scene:
             raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
         settings = settings or SimulatorSettings()
+        settings.check_probe(probe)
         if settings.device == "auto":
             settings = replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
         if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
@@ -105,11 +107,14 @@ class Simulator:
             self._geometry: Geometry = beside._geometry.reaching(extent)
         else:
             self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
-        self._tracer = Tracer(self._geometry, self._plan, probe, settings)
         # one way of two equal Gaussians is wider than both by sqrt(2)
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
+        self._tracers = tuple(
+            Tracer(self._geometry, self._plan, probe, replace(settings, path_seed=one.path_seed), one.angle_rad)
+            for one in self._chain.sets
+        )
         self._weights, self._pulse = layer_weights(probe, settings)[1], float(self._chain.spread.axial.sum())
         self._surface_maps = SurfaceMaps(self._geometry, self._plan, (self._beam, self._aperture), probe, settings)
         self._kept: dict[Make, tuple[bytes, Any]] = {}  # of the last pose
@@ -232,21 +237,30 @@ class Simulator:
 
     def _prepare(self, local: np.ndarray) -> Prepared:
         """What the signal chain needs."""
-        probe, settings, plan = self.probe, self.settings, self._plan
-        bundle = self._tracer.at(local)
-        labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
-        words = contact_warning(labels, self.scene.tissues, probe)
+        pose = local.copy()
+        pose[:3, 3] += self._origin_mm
+        in_body = body_lines(pose_in_body(pose, self.scene.body), self.probe, self.settings)
+        traced = [self._returned(number, local) for number in range(len(self._tracers))]
+        _, labels, ranges = traced[len(traced) // 2]
+        words = contact_warning(labels, self.scene.tissues, self.probe)
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
             warnings.warn(words, stacklevel=4)
+        return Prepared((*in_body, labels, ranges), tuple(returned for returned, _, _ in traced))
+
+    def _returned(self, number: int, local: np.ndarray) -> tuple[Returned, np.ndarray, np.ndarray]:
+        """What rays of a set of scanlines bring back; labels and ranges of these, as of `scanline_labels`."""
+        probe, settings, plan, tracer = self.probe, self.settings, self._plan, self._tracers[number]
+        bundle = tracer.at(local)
+        labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
         nodes = lines.empty_nodes(labels, plan.media.anechoic, probe.depth_mm)
-        echoes = self._tracer(bundle, nodes)
+        echoes = tracer(bundle, nodes)
         level_db = lines.mean_level_db(nodes.amplitude, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         places = self._weights, settings.rays, probe.depth_mm
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
         clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._pulse)
-        pose = local.copy()
-        pose[:3, 3] += self._origin_mm
-        in_body = body_lines(pose_in_body(pose, self.scene.body), probe, settings)
-        return Prepared((*in_body, labels, ranges), level_db, surfaces, clutter)
+        steered = self._chain.sets[number]
+        if steered.number:
+            level_db, surfaces, clutter = steered.level(level_db), steered.echoes(surfaces), steered.smooth(clutter)
+        return Returned(level_db, surfaces, clutter), labels, ranges

@@ -132,11 +132,30 @@ def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) 
 
 
 @stage(Stage.point_spread)
-def blur(scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread) -> np.ndarray:
+def blur(
+    scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread, shift: np.ndarray | None = None
+) -> np.ndarray:
     """Scatterers through the PSF of unit energy, plus surfaces through that whose main lobe has unit peak and sum.
 
-    Scatterers and the result are (2, scanlines, samples), real and imaginary part; surfaces are (scanlines, samples).
+    Parameters
+    ----------
+    scatterers : (2, scanlines, samples) float
+        Real and imaginary part.
+    surfaces : (scanlines, samples) float
+        Amplitudes.
+    spread : PointSpread
+        The kernels.
+    shift : (scanlines,) int, optional
+        By how many samples each scanline is moved so that a wave front, along which beams spread, lies in one column.
+
+    Returns
+    -------
+    (2, scanlines, samples) float
+        Real and imaginary part.
     """
+    if shift is not None:
+        room = int(np.abs(shift).max())
+        scatterers, surfaces = (_moved(part, room + shift, 2 * room) for part in (scatterers, surfaces))
     lateral = spread.lateral
     given, flat = torch.from_numpy(scatterers).to(lateral), torch.from_numpy(surfaces).to(lateral.device)
     total = torch.empty_like(given)
@@ -153,7 +172,19 @@ def blur(scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread) -> n
                 total[channel, :, some] = own
 
     in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if flat.device.type == "cpu" else blocks)
+    if shift is not None:
+        total = torch.stack(
+            [total[:, line, room + by : total.shape[2] - room + by] for line, by in enumerate(shift)], 1
+        )
     return along_lines(total, spread.axial).cpu().numpy()
+
+
+def _moved(lines: np.ndarray, by: np.ndarray, more: int) -> np.ndarray:
+    """Lines, (..., scanlines, samples), each moved by so many samples among zeros, (..., scanlines, samples + more)."""
+    moved = np.zeros((*lines.shape[:-1], lines.shape[-1] + more), lines.dtype)
+    for line, samples in enumerate(by):
+        moved[..., line, samples : samples + lines.shape[-1]] = lines[..., line, :]
+    return moved
 
 
 def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
