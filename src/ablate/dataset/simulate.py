@@ -40,8 +40,8 @@ _WITHOUT_IMAGE = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # map
 class Recipe:
     """What every frame of a data set is made with.
 
-    `settings` are those of the target; the low-quality image L differs in rays and layers alone. `seed` is that of the
-    scatterers, one for an anatomy, because speckle belongs to the world.
+    `settings` are those of the target; the low-quality image L differs in rays, layers and angles alone. `seed` is that
+    of the scatterers, one for an anatomy, because speckle belongs to the world.
     """
 
     scene: Scene
@@ -53,7 +53,7 @@ class Recipe:
 def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
     of_target = recipe.settings
-    of_low = replace(recipe.settings, rays=1, layers=1)
+    of_low = replace(recipe.settings, rays=1, layers=1, compound_angles=1)
     again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
 
     @cache

@@ -30,10 +30,13 @@ def identity_of(settings: StudySettings, scene: Mapping[str, object]) -> dict[st
         poses, sites = dataset.read_poses(Path(settings.dataset.poses))
         del chosen["grid"], chosen["press_mm"]
         chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
+    simulator = identity(settings.simulator)
+    if settings.simulator.compound_angles == 1:  # nothing is steered
+        del simulator["compound_angles"], simulator["compound_steer_deg"]
     return {
         "scene": dict(scene),
         "probe": plain(settings.probe),
-        "simulator": identity(settings.simulator),
+        "simulator": simulator,
         "simulator_version": SIMULATOR_VERSION,
         "dataset": chosen,
         **PAIRS_RECIPE,
@@ -51,6 +54,8 @@ def check_frames(settings: StudySettings, sites: SiteGrid | None) -> int:
     `sites` are None where a folder has none, and may do without.
     """
     simulator = settings.simulator
+    with refusing("simulator."):
+        simulator.check_probe(settings.probe)
     sets_gain = simulator.tgc is TimeGain.patient or simulator.time_gain_db
     if sets_gain and simulator.tgc_db_cm_mhz != SimulatorSettings.tgc_db_cm_mhz:
         raise ConfigurationError("simulator.tgc_db_cm_mhz: allowed with simulator.tgc=fixed and no time_gain_db")
