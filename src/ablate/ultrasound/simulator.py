@@ -15,7 +15,8 @@ from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.frame import Beam, Frame
-from ablate.ultrasound.imaging.bmode import Display, Prepared, Returned, SignalChain
+from ablate.ultrasound.imaging.bmode import Display, Prepared, Returned, SignalChain, means_of_rows
+from ablate.ultrasound.imaging.compounding import shares
 from ablate.ultrasound.imaging.lattice import body_lines, grain, pose_in_body
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
@@ -177,16 +178,31 @@ class Simulator:
             beam, labels = side_by_side(*(partial(self._of, pose, make) for make in makes))
             return labels.copy(), self._chain.convert.to_image(beam[1])
 
-    def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True) -> Beam:
-        """Segmentation, attenuation and, if asked for, the maps of surfaces of a pose in beam space; without an image.
+    def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True, of_angles: bool = False) -> Beam:
+        """Segmentation, attenuation and, if asked for, other maps of a pose in beam space; without an image.
 
         Raises ValueError when the pose is not rigid.
+
+        Parameters
+        ----------
+        pose : (4, 4) float
+            Rigid transform from probe to world, mm.
+        of_surfaces : bool
+            Whether `interfaces` and `illumination` are made.
+        of_angles : bool
+            Whether `compound` is made.
         """
         pose = check_pose(pose)
-        makes = (Simulator._maps_of_surfaces, Simulator._tissue_maps) if of_surfaces else (Simulator._tissue_maps,)
+        makes: dict[Make, tuple[str, ...]] = {
+            Simulator._maps_of_surfaces: ("interfaces", "illumination") if of_surfaces else (),
+            Simulator._tissue_maps: ("segmentation", "attenuation"),
+            Simulator._attenuation_of_angles: ("compound",) if of_angles else (),
+        }
+        wanted = {make: names for make, names in makes.items() if names}
         with without_teams():
-            *surfaces, tissues = side_by_side(*(partial(self._of, pose, make) for make in makes))
-        return Beam(*(made.copy() for made in chain(tissues, *surfaces)))
+            made = chain.from_iterable(side_by_side(*(partial(self._of, pose, make) for make in wanted)))
+        names = chain.from_iterable(wanted.values())
+        return Beam(**{name: values.copy() for name, values in zip(names, made, strict=True)})
 
     def grain(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
         """The lattice of scatterers as a pose sees it, (rows, scanlines, 2) complex64; see `lattice.grain`.
@@ -224,6 +240,15 @@ class Simulator:
         segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)
         return segmentation, np.ascontiguousarray(amplitude.T)
 
+    def _attenuation_of_angles(self, local: np.ndarray) -> tuple[np.ndarray]:
+        """The mean of the attenuation maps of all angles, of those that see a place, in beam space."""
+        spacing_mm = self.probe.depth_mm / self.settings.axial_samples
+        mean = np.zeros((self.settings.scanlines, self.settings.axial_samples), np.float32)
+        for one, share in zip(self._chain.sets, shares(self._chain.sets), strict=True):
+            labels = self._scanline_tissues(local, one.angle_rad)
+            mean += share * one.smooth(integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm))
+        return (np.ascontiguousarray(means_of_rows(mean, self.settings)),)
+
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
 
@@ -232,8 +257,8 @@ class Simulator:
         labels: np.ndarray = self._of(check_pose(pose), Simulator._scanline_tissues)
         return labels.copy()
 
-    def _scanline_tissues(self, local: np.ndarray) -> np.ndarray:
-        return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local)
+    def _scanline_tissues(self, local: np.ndarray, steered_rad: float = 0.0) -> np.ndarray:
+        return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local, steered_rad)
 
     def _prepare(self, local: np.ndarray) -> Prepared:
         """What the signal chain needs."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.networks.spec import GRAIN, OF_SURFACES, Space
+from ablate.networks.spec import COMPOUND, GRAIN, OF_SURFACES, Space
 from ablate.ultrasound import (
     Display,
     Probe,
@@ -121,7 +121,7 @@ class SceneRenderer:
         reads_surfaces = bool(OF_SURFACES & set(trained.reads))
 
         def render() -> np.ndarray:
-            beam = simulator.beam_maps(state.pose, reads_surfaces)
+            beam = simulator.beam_maps(state.pose, reads_surfaces, COMPOUND in trained.reads)
             if GRAIN in trained.reads:  # of all layers even while the probe moves, as the network was trained
                 lattice = grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
                 beam = replace(beam, grain=lattice)

@@ -100,7 +100,7 @@ class Steered:
         return self._gathered(amplitude) * (longer / (spacing_mm if len(longer) > 1 else 1.0))
 
     def smooth(self, amplitude: np.ndarray) -> np.ndarray:
-        """Reverberation on the set's scanlines, (scanlines or 0, samples), on those of the frame."""
+        """What varies slowly along the set's scanlines, (scanlines or 0, samples), on those of the frame."""
         return self._gathered(amplitude) if len(amplitude) else amplitude
 
     def _gathered(self, values: np.ndarray) -> np.ndarray:
