@@ -56,8 +56,8 @@ class Steered:
         """Standard deviation of the phases that the angle gives the scatterers of a sample, see `white_table`.
 
         Two ways to a scatterer that lies x beside, steered by a, are 2 x sin a longer. The power of the beam, the
-        square of a Gaussian, spreads the scatterers of a sample with its standard deviation over sqrt(2). Both sides of
-        a curved face spread alike with depth, so the product is that of the face.
+        square of a Gaussian, spreads the scatterers of a sample with its standard deviation over sqrt(2). Under a curved
+        face x grows with depth as sin a falls, so in units of scanlines their product is that of the face.
         """
         sigma_lines = float(lateral_sigma(self.probe, self.settings, np.array([self.settings.focus_mm]))[0, 0])
         wavelength_mm = DISPLAY_SPEED_M_S / self.probe.frequency_mhz / 1e3
@@ -95,9 +95,9 @@ class Steered:
 
         A step along the frame's scanline is a longer one along the steered one, so the amplitudes are as much larger.
         """
-        longer = np.gradient(self.range_mm) if len(self.range_mm) > 1 else np.ones(1)
         spacing_mm = self.probe.depth_mm / self.settings.axial_samples
-        return self._gathered(amplitude) * (longer / (spacing_mm if len(longer) > 1 else 1.0))
+        longer = np.gradient(self.range_mm, spacing_mm) if len(self.range_mm) > 1 else np.ones(1)
+        return self._gathered(amplitude) * longer
 
     def smooth(self, amplitude: np.ndarray) -> np.ndarray:
         """What varies slowly along the set's scanlines, (scanlines or 0, samples), on those of the frame."""
