@@ -84,7 +84,8 @@ def test_speckle_is_as_smooth_as_its_angles_are_apart(probe, angles, steer_deg) 
     parts = np.array([simulator.render(np.eye(4), seed).envelope[some] for seed in range(6)], float)
     gain = 1 / np.sqrt(correlation_of_envelopes(probe, settings).mean())
     assert 1 <= gain < np.sqrt(angles) + 1e-9
-    assert parts.mean() / parts.std() == pytest.approx(RAYLEIGH_SNR * gain, rel=0.035)
+    # the scatterers of an entry are as strong at every angle: distant ones correlate by some hundredths
+    assert parts.mean() / parts.std() == pytest.approx(RAYLEIGH_SNR * gain, rel=0.05)
 
 
 def test_each_two_angles_correlate_as_their_directions_say() -> None:
@@ -125,6 +126,7 @@ def test_a_shadow_is_the_one_of_geometry(steer_deg) -> None:
     off = np.abs(x * np.cos(angles) - (z - centre) * np.sin(angles)) - radius  # from the border of each strip
     seen = (off > 0).mean(axis=0)
     sure = (np.abs(off) > 0.9).all(axis=0) & (z > centre + radius + 1) & (np.abs(x) < 12)
+    sure &= z < 67  # deeper, the outer sets do not reach
     shares = np.unique(seen[sure])
     assert len(shares) == 6
     for share in shares:
@@ -166,8 +168,8 @@ def test_a_mirror_shines_for_the_angle_that_it_faces(gel) -> None:
     # a beam spreads along its wave front, and across it the plane's echo is lower and longer
     across, along = settings.lateral_fwhm_mm / PER_SIGMA, settings.axial_fwhm_mm / PER_SIGMA
     echo = reflected * np.maximum(np.cos(2 * off), 0) ** 40 / np.sqrt(1 + (np.tan(off) * across / along) ** 2)
-    assert peaks[1] == pytest.approx(echo[1], rel=0.04)
-    assert peaks[3] == pytest.approx(echo.mean(), rel=0.04)
+    assert peaks[1] == pytest.approx(echo[1], rel=0.03)
+    assert peaks[3] == pytest.approx(echo.mean(), rel=0.03)
     assert peaks[3] > 3 * peaks[1]
 
 

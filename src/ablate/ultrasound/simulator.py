@@ -246,7 +246,7 @@ class Simulator:
         mean = np.zeros((self.settings.scanlines, self.settings.axial_samples), np.float32)
         for one, share in zip(self._chain.sets, shares(self._chain.sets), strict=True):
             labels = self._scanline_tissues(local, one.angle_rad)
-            mean += share * one.smooth(integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm))
+            mean += share * one.taken(integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm))
         return (np.ascontiguousarray(means_of_rows(mean, self.settings)),)
 
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
@@ -285,7 +285,4 @@ class Simulator:
         places = self._weights, settings.rays, probe.depth_mm
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
         clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._pulse)
-        steered = self._chain.sets[number]
-        if steered.number:
-            level_db, surfaces, clutter = steered.level(level_db), steered.echoes(surfaces), steered.smooth(clutter)
-        return Returned(level_db, surfaces, clutter), labels, ranges
+        return self._chain.returned(number, level_db, surfaces, clutter), labels, ranges

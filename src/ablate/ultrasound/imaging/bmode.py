@@ -131,7 +131,7 @@ class Returned:
     """What rays of one set of scanlines bring back, on those of the frame; echoes are amplitudes at the receiver."""
 
     level_db: np.ndarray  # (groups, nodes)
-    surfaces: np.ndarray  # (scanlines, samples)
+    surfaces: np.ndarray  # (scanlines, samples); of steered scanlines after the pulse
     clutter: np.ndarray  # reverberation after the pulse, (scanlines, samples), or (0, samples) where there is none
 
 
@@ -227,7 +227,33 @@ class SignalChain:
             shape, dtype = (2, self.settings.scanlines, self.settings.axial_samples), self.speckle.dtype
             return np.zeros(shape, dtype), np.empty((0, shape[2]), dtype)
         one, returned = self.sets[number], prepared.sets[number]
-        scatterers = self.speckle.insonify(prepared.lines, returned.level_db, seed)
-        shift = one.shift if one.number else None
-        signal = blur(self.speckle(scatterers, seed, one.turn_rad), returned.surfaces, self.spread, shift)
+        insonified = self.speckle.insonify(prepared.lines, returned.level_db, seed)
+        scatterers = self.speckle(insonified, seed, one.turn_rad)
+        if not one.number:
+            return blur(scatterers, returned.surfaces, self.spread), returned.clutter
+        signal = blur(scatterers, None, self.spread, one.shift)
+        signal[0] += returned.surfaces
         return signal, returned.clutter
+
+    def returned(self, number: int, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray) -> Returned:
+        """What rays of a set bring back on its own scanlines, on those of the frame.
+
+        Echoes of surfaces have the pulse before they are interpolated: those of a tilted surface do not add up else.
+
+        Parameters
+        ----------
+        number : int
+            Of the set in `sets`.
+        level_db : (groups, nodes) float
+            The illumination.
+        surfaces : (scanlines, samples) float
+            Echoes of surfaces.
+        clutter : (scanlines or 0, samples) float
+            Reverberation.
+        """
+        one = self.sets[number]
+        if not one.number:
+            return Returned(level_db, surfaces, clutter)
+        if surfaces.any():
+            surfaces = blur(np.zeros((1, *surfaces.shape)), surfaces, self.spread, one.shift)[0]
+        return Returned(one.level(level_db), one.taken(surfaces), one.taken(clutter))

@@ -55,9 +55,9 @@ class Steered:
     def turn_rad(self) -> float:
         """Standard deviation of the phases that the angle gives the scatterers of a sample, see `white_table`.
 
-        Two ways to a scatterer that lies x beside, steered by a, are 2 x sin a longer. The power of the beam, the
-        square of a Gaussian, spreads the scatterers of a sample with its standard deviation over sqrt(2). Under a curved
-        face x grows with depth as sin a falls, so in units of scanlines their product is that of the face.
+        The way there and back of a wave that is steered by a is 2 x sin a longer to a scatterer that lies x beside. The
+        power of the beam, the square of a Gaussian, spreads a sample's scatterers with its standard deviation over
+        sqrt(2). Under a curved face x grows with depth as sin a falls, so their product is that of the face.
         """
         sigma_lines = float(lateral_sigma(self.probe, self.settings, np.array([self.settings.focus_mm]))[0, 0])
         wavelength_mm = DISPLAY_SPEED_M_S / self.probe.frequency_mhz / 1e3
@@ -86,25 +86,12 @@ class Steered:
         return seen.astype(np.float32)
 
     def level(self, level_db: np.ndarray) -> np.ndarray:
-        """Levels of the set's scanlines on those of the frame, (groups, nodes) dB."""
+        """Levels on the set's scanlines, (groups, nodes) dB, on those of the frame."""
         scanlines = self.settings.scanlines
-        return np.concatenate([self._gathered(level_db[i : i + scanlines]) for i in range(0, len(level_db), scanlines)])
+        return np.concatenate([self.taken(level_db[i : i + scanlines]) for i in range(0, len(level_db), scanlines)])
 
-    def echoes(self, amplitude: np.ndarray) -> np.ndarray:
-        """Echoes on the set's scanlines on those of the frame, (scanlines, samples); what a surface returns is kept.
-
-        A step along the frame's scanline is a longer one along the steered one, so the amplitudes are as much larger.
-        """
-        spacing_mm = self.probe.depth_mm / self.settings.axial_samples
-        longer = np.gradient(self.range_mm, spacing_mm) if len(self.range_mm) > 1 else np.ones(1)
-        return self._gathered(amplitude) * longer
-
-    def smooth(self, amplitude: np.ndarray) -> np.ndarray:
-        """What varies slowly along the set's scanlines, (scanlines or 0, samples), on those of the frame."""
-        return self._gathered(amplitude) if len(amplitude) else amplitude
-
-    def _gathered(self, values: np.ndarray) -> np.ndarray:
-        """Values of the set's scanlines at equal steps, (scanlines, n), on those of the frame.
+    def taken(self, values: np.ndarray) -> np.ndarray:
+        """Values on the set's scanlines at equal steps, (scanlines or 0, n), on those of the frame.
 
         From scanline to scanline they are interpolated along the set's wave fronts, on which a surface that faces it
         lies.
@@ -113,7 +100,7 @@ class Steered:
         first_mm, spacing_mm = self._steps(count)
         range_mm, beside = self._places(count)
         places = (range_mm - first_mm) / spacing_mm, beside
-        made = np.empty((scanlines, count), values.dtype)
+        made = np.empty_like(values)
         gather = partial(_gather, values, places, self.per_line_mm / spacing_mm, made)
         in_parts(gather, scanlines, LINES_OF_A_PART)
         return made
