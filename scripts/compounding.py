@@ -25,11 +25,13 @@ SIZE = ["preset=paper", "simulator.scanlines=192", "simulator.axial_samples=2048
 def main() -> None:
     """Render the frames and write the picture."""
     scene = fetal_abdomen()
+    jobs = {name: jobs_of([f"probe={name}", *SIZE])[0].settings for name in SHOWN}
+    tall = [rows / columns for rows, columns in (job.simulator.image_shape for job in jobs.values())]
     with house_style():
-        figure = Figure(figsize=(PAGE_IN, 1.25 * PAGE_IN), layout="constrained")
-        rows = figure.subplots(len(SHOWN), len(ANGLES))
+        figure = Figure(figsize=(PAGE_IN, PAGE_IN / len(ANGLES) * sum(tall) + 0.9), layout="constrained")
+        rows = figure.subplots(len(SHOWN), len(ANGLES), height_ratios=tall)
         for panels, (name, plane) in zip(rows, SHOWN.items(), strict=True):
-            job = jobs_of([f"probe={name}", *SIZE])[0].settings
+            job = jobs[name]
             pose = fetal_planes(press_mm=job.dataset.press_mm)[plane]
             chosen = with_patient_gain(scene, job.probe, job.simulator, pose[None])
             (height, width), top = fan_of(job.probe).size_mm, -fan_of(job.probe).sag_mm
