@@ -146,6 +146,7 @@ def growth(poses: list[np.ndarray], scene: Scene) -> None:
         "layers": (1, 3, 5),
         "scanlines": (48, 96, 192, 384),
         "axial_samples": (768, 1536, 3072, 6144),
+        "compound_angles": (1, 3, 5, 7, 9),
     }
     for name, values in sizes.items():
         times = tuple(frame(replace(SimulatorSettings(), **{name: value})) for value in values)

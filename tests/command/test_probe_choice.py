@@ -9,7 +9,7 @@ import pytest
 from ablate.command.compose import jobs_of
 from ablate.setting import plain
 from ablate.settings.conf import build
-from ablate.settings.study import StudySettings
+from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.sources.source import source_of
 from ablate.ultrasound import ConvexProbe, LinearProbe, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
@@ -86,3 +86,25 @@ def test_real_probes_have_the_values_of_their_data_sheets(probe: str, active: fl
     assert own.axial_fwhm_mm == pytest.approx(SPEED_MM_US / 2 * pulse_us, rel=0.02)
     f_number = 2.0 if active is None else focus_mm / (active * span_mm)
     assert own.lateral_fwhm_mm == pytest.approx(0.886 * wavelength_mm * f_number, rel=0.03)
+
+
+def test_steering_decides_nothing_of_one_angle() -> None:
+    """Data sets of one angle keep the names that they had before frames could be compounded."""
+    one, three = composed(), composed("simulator.compound_angles=3")
+    kept = [key for key in source_of(one).identity()["simulator"] if key.startswith("compound")]
+    assert not kept
+    assert source_of(one).identity() == source_of(composed("simulator.compound_steer_deg=5")).identity()
+    steered = composed("simulator.compound_angles=3", "simulator.compound_steer_deg=5")
+    assert len({str(source_of(s).identity()) for s in (one, three, steered)}) == 3
+
+
+def test_compounding_that_is_not_defined_is_refused_with_its_key() -> None:
+    phased = source_of(composed("probe=phased", "simulator.compound_angles=3"))
+    with pytest.raises(
+        ConfigurationError, match=r"^simulator\.compound_angles=3: allowed with a phased probe is 1, .*"
+    ):
+        phased.check("sa2h")
+    one = source_of(composed("model.attenuation=compound"))
+    with pytest.raises(ConfigurationError, match=r"^model\.attenuation=compound: .* which is 1; allowed are integral"):
+        one.check("sa2h")
+    source_of(composed("model.attenuation=compound", "simulator.compound_angles=3")).check("sa2h")

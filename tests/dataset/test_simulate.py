@@ -27,10 +27,13 @@ def pairs(tmp_path: Path, blank: Blank) -> Pairs:
     return blank(tmp_path / "set", 7, 3)
 
 
-def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> None:
-    assert simulate_pairs(recipe, pairs, MAPS | {"low", "interfaces", "illumination"}, 1) == 7
+@pytest.mark.parametrize("angles", [1, 3])
+def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe, angles: int) -> None:
+    """The low-quality image is of one angle, as it is of one ray."""
+    recipe = replace(recipe, settings=replace(recipe.settings, compound_angles=angles))
+    assert simulate_pairs(recipe, pairs, MAPS | {"low", "interfaces", "illumination", "compound"}, 1) == 7
     simulator = Simulator(recipe.scene, recipe.probe, recipe.settings)
-    low = Simulator(recipe.scene, recipe.probe, replace(recipe.settings, rays=1, layers=1))
+    low = Simulator(recipe.scene, recipe.probe, replace(recipe.settings, rays=1, layers=1, compound_angles=1))
     for i, pose in enumerate(pairs.poses):
         frame = simulator.render(pose, seed=recipe.seed)
         np.testing.assert_array_equal(pairs.stored("target", i), frame.image)
@@ -40,6 +43,8 @@ def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> No
             stored = pairs.read(name, [i], Space.beam)[0]
             np.testing.assert_allclose(stored, getattr(frame.beam, name), atol=0.51 / 255)
         np.testing.assert_allclose(pairs.read("attenuation", [i])[0], frame.attenuation, rtol=2**-9, atol=1e-5)
+        of_angles = simulator.beam_maps(pose, of_surfaces=False, of_angles=True).compound
+        np.testing.assert_allclose(pairs.read("compound", [i], Space.beam)[0], of_angles, rtol=2**-9, atol=1e-5)
         np.testing.assert_array_equal(pairs.stored("low", i), low.render(pose, seed=recipe.seed).image)
 
 

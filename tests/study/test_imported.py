@@ -219,7 +219,9 @@ def test_a_network_in_beam_space_needs_the_fan_and_learns_from_the_images_of_oth
     assert set(per_image(tmp_path / "runs", "sa2h*")["metric"]) >= {"psnr", "shadow_contrast"}
 
 
-@pytest.mark.parametrize("key", ["attenuation=compensated", "attenuation=illumination", "interfaces=echo"])
+@pytest.mark.parametrize(
+    "key", ["attenuation=compensated", "attenuation=illumination", "attenuation=compound", "interfaces=echo"]
+)
 def test_a_map_that_only_the_simulator_makes_is_refused(folder: Path, tmp_path: Path, key: str) -> None:
     where = [f"runs_dir={tmp_path / 'runs'}", "scene=pairs", f"scene.folder={folder}"]
     message = rf"^model\.{key} in variant .*pairs made elsewhere .*allowed are (integral and )?none$"

@@ -37,6 +37,7 @@ def batch(step: int, size: int = 32) -> dict[str, Tensor]:
         "attenuation": attenuation * mask,
         "compensated": (1 - attenuation / 2) * mask,
         "illumination": attenuation.square() * mask,
+        "compound": attenuation.sqrt() * mask,
         "interfaces": (segmentation == 0) * mask,
         "depth": torch.linspace(-1, 1, size)[:, None].expand(2, 1, size, size),
         "lateral": torch.linspace(-1, 1, size).expand(2, 1, size, size),

@@ -42,7 +42,7 @@ BEAM_LABELS = 3
 LABELS = {name: BEAM_LABELS if name.startswith("beam") else 1 for name in VARIANTS}
 #: Every map that some generator reads, and what it is outside the fan.
 OUTSIDE = {"segmentation": -1.0, "low": -1.0, "depth": 0.0, "lateral": 0.0, "interfaces": 0.0, "grain": 0.0}
-OUTSIDE |= dict.fromkeys(("attenuation", "compensated", "illumination"), 0.0)
+OUTSIDE |= dict.fromkeys(("attenuation", "compensated", "illumination", "compound"), 0.0)
 
 
 def random_maps(labels: int, batch: int, height: int, width: int, seed: int = 0) -> dict[str, Tensor]:

@@ -157,8 +157,9 @@ def test_energy_never_grows(scene: Scene, path_seed: int) -> None:
     )
     one = Simulator(Scene(flat, background, "flat"), PENCIL, replace(AXIAL, path_seed=path_seed))
     traced = one._prepare(np.eye(4))
-    assert ((traced.surfaces**2).sum(axis=1) <= 1 + 1e-5).all()
-    amplitude = one._chain.speckle.insonify(traced.lines, traced.level_db, seed=0).amplitude
+    (returned,) = traced.sets
+    assert ((returned.surfaces**2).sum(axis=1) <= 1 + 1e-5).all()
+    amplitude = one._chain.speckle.insonify(traced.lines, returned.level_db, seed=0).amplitude
     illumination = amplitude[0].astype(float)
     assert (np.diff(illumination) <= 1e-6 * illumination[:, :1]).all()
     assert illumination.max() <= 10 ** (TINY.scatterer_level_db / 20) * (1 + 1e-5)

@@ -348,3 +348,16 @@ def test_a_slider_reaches_what_it_shows(client: Client, viewer: Viewer) -> None:
     client.until(lambda: "Shallow (mm)" in client.labels)
     shown = client.values[client.labels["Shallow (mm)"]]
     assert (shown["value"], shown["min"]) == (30, 30)
+
+
+def test_compounding_is_picked_with_its_price(client: Client, viewer: Viewer) -> None:
+    client.until(lambda: "3: about" in client.texts())
+    client.set("Compounding", "3")
+    settle(client, viewer)
+    client.until(lambda: "1: about" in client.texts())
+    views = viewer.page.shown
+    assert views is not None
+    assert views.state.simulator.compound_angles == 3
+    settings = replace(views.state.simulator, time_gain_db=views.time_gain_db)
+    simulator = Simulator(viewer.page.scene, views.state.probe, settings)
+    np.testing.assert_array_equal(views.target, simulator.image(views.state.pose, views.state.seed))

@@ -173,7 +173,7 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
 
 def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:
     file = pairs.shard_file(name, shard)
-    if name == "attenuation" and stack.dtype != np.uint16:
+    if FORMATS[name][0] == "uint16" and stack.dtype != np.uint16:
         stack = np.stack([encode_attenuation(frame) for frame in stack])
     elif name in OF_SURFACES:
         stack = np.rint(stack * 255)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES, Space
+from ablate.networks.spec import COMPOUND, GRAIN, OF_POSITION, OF_SURFACES, Space
 from ablate.ultrasound import Beam, Probe, compensated_attenuation, compensated_beam, position_maps, scan_converter
 
 #: S and A of an image, and the frame in beam space.
@@ -50,9 +50,9 @@ def maps_read(
     if "compensated" in names:
         compensate = compensated_beam if in_beam else compensated_attenuation
         read["compensated"] = compensate(read["attenuation"], probe, tgc)
-    for name in OF_SURFACES & set(names):
-        echo = getattr(beam, name)
-        read[name] = echo if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(echo)
+    for name in (OF_SURFACES | {COMPOUND}) & set(names):
+        values = getattr(beam, name)
+        read[name] = values if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(values)
     if GRAIN in names:
         if not beam.grain.size:
             raise ValueError("the frame has no grain, which this generator reads: `Simulator.grain` makes it")

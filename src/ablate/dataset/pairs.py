@@ -33,6 +33,7 @@ FORMATS = {
     "attenuation": ("uint16", "shuffle"),
     "interfaces": ("uint8", "noshuffle"),
     "illumination": ("uint8", "noshuffle"),
+    "compound": ("uint16", "shuffle"),
     "target": ("uint8", "bitshuffle"),
     "low": ("uint8", "bitshuffle"),
     "resimulation": ("uint8", "bitshuffle"),
@@ -168,7 +169,7 @@ class Pairs:
 
         Returns
         -------
-        (H, W) or (k, H, W) uint8, of attenuation uint16
+        (H, W) or (k, H, W) uint8, of attenuation and compound uint16
             In beam space (rows, scanlines) or (k, rows, scanlines).
 
         Raises
@@ -252,8 +253,8 @@ class Pairs:
         Returns
         -------
         (k, H, W) or, in beam space, (k, rows, scanlines)
-            Labels and grey levels are uint8. Attenuation, interfaces and illumination are float32 in [0, 1], and the
-            maps of position, `depth` and `lateral`, float32 in [-1, 1]. Grain, of beam space alone, is
+            Labels and grey levels are uint8. Maps of attenuation and of surfaces are float32 in [0, 1], and those of
+            position, `depth` and `lateral`, float32 in [-1, 1]. Grain, of beam space alone, is
             (k, rows, scanlines, 2) complex64.
         """
         if name == GRAIN:

@@ -20,7 +20,7 @@ from ablate.dataset.frame_maps import maps_read
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.split import Part, resimulation_seed
-from ablate.networks.spec import GRAIN, OF_SURFACES, Space
+from ablate.networks.spec import COMPOUND, GRAIN, OF_SURFACES, Space
 from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
@@ -33,15 +33,15 @@ _OF_OTHERS = (
     Stage.grain,
     Stage.scan_conversion,
 )  # than surfaces
-_WITHOUT_IMAGE = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # maps without an image
+_WITHOUT_IMAGE = frozenset({"segmentation", "attenuation", COMPOUND}) | OF_SURFACES  # maps without an image
 
 
 @dataclass(frozen=True)
 class Recipe:
     """What every frame of a data set is made with.
 
-    `settings` are those of the target; the low-quality image L differs in rays and layers alone. `seed` is that of the
-    scatterers, one for an anatomy, because speckle belongs to the world.
+    `settings` are those of the target; the low-quality image L differs in rays, layers and angles alone. `seed` is that
+    of the scatterers, one for an anatomy, because speckle belongs to the world.
     """
 
     scene: Scene
@@ -50,10 +50,14 @@ class Recipe:
     seed: int = 0
 
 
+def of_low(settings: SimulatorSettings) -> SimulatorSettings:
+    """Settings of the low-quality image L beside frames of some settings."""
+    return replace(settings, rays=1, layers=1, compound_angles=1)
+
+
 def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
     of_target = recipe.settings
-    of_low = replace(recipe.settings, rays=1, layers=1)
     again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
 
     @cache
@@ -66,14 +70,14 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
             pose = pairs.poses[frame]
             rendered: dict[str, np.ndarray] = {}
             if maps & _WITHOUT_IMAGE:
-                beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES))
+                beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES), COMPOUND in maps)
                 rendered = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
             if "target" in maps:
                 rendered["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
                 rendered["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
             if "low" in maps:
-                rendered["low"] = simulator(of_low).beam_image(pose, seed=recipe.seed)
+                rendered["low"] = simulator(of_low(of_target)).beam_image(pose, seed=recipe.seed)
             for name, values in rendered.items():
                 if name not in stacks:
                     stacks[name] = np.zeros((len(frames), *values.shape), values.dtype)
@@ -193,14 +197,14 @@ def timed_maps(
         the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
-    simulator_of_low = cache(lambda: Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses))
+    simulator_of_low = cache(lambda: Simulator(scene, probe, of_low(settings), poses=poses))
     nothing = np.zeros(settings.image_shape, np.uint8)
 
     def make(pose: np.ndarray, seed: int, names: Sequence[str], space: Space) -> Timed:
         of_image = space is Space.image
         with stage_times() as stages:
             start = time.perf_counter()
-            beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)))
+            beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)), COMPOUND in names)
             if GRAIN in names:
                 beam = replace(beam, grain=simulator.grain(pose, seed))
             segmentation, attenuation = simulator.maps(pose) if of_image else (nothing, nothing)
@@ -229,7 +233,7 @@ def _shares(
     }
     at_once = max(1.0, sum(map(sum, stages.values())) / whole_ms)
     times = {name: ms / at_once for name, ms in of_maps.items() if name in names}
-    for name in ("attenuation", "compensated", "illumination"):
+    for name in ("attenuation", "compensated", "illumination", COMPOUND):
         if name in names:
             times[name] = whole_ms - sum(times.values())
             break

@@ -83,8 +83,8 @@ class Generator(nn.Module):
             One seed for all noise of each rendering: the first N are one of each sample, the next N another. None
             switches noise off (fields of zero); k is 1 then, and where the variant draws none.
         **others : (N, 1, H, W) float, optional
-            `compensated`, `illumination` and `interfaces` in [0, 1], `depth` and `lateral` in [-1, 1]; and `grain`,
-            (N, 4, H, W), real and imaginary parts of the lattice of scatterers.
+            `compensated`, `illumination`, `compound` and `interfaces` in [0, 1], `depth` and `lateral` in [-1, 1]; and
+            `grain`, (N, 4, H, W), real and imaginary parts of the lattice of scatterers.
 
         Returns
         -------

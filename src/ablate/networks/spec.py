@@ -63,12 +63,14 @@ class Attenuation(StrEnum):
     """Which map of attenuation is an input: the integral one, the one compensated for the time gain, or none.
 
     `illumination` is more than the paper's: it also knows what surfaces keep from the tissue behind them, and that a
-    shadow is soft, because many elements see a point.
+    shadow is soft, because many elements see a point. `compound` is the mean of the integral maps of all angles that
+    frames are compounded of.
     """
 
     integral = "integral"
     compensated = "compensated"
     illumination = "illumination"
+    compound = "compound"
     none = "none"
 
 
@@ -182,10 +184,13 @@ _ATTENUATION_MAPS = {
     Attenuation.integral: ("attenuation",),
     Attenuation.compensated: ("compensated",),
     Attenuation.illumination: ("illumination",),
+    Attenuation.compound: ("compound",),
     Attenuation.none: (),
 }
 #: Maps of the surfaces on each scanline, which the simulator makes and nobody can derive from S and A.
 OF_SURFACES = frozenset({"interfaces", "illumination"})
+#: The mean attenuation map of all angles, which only the simulator makes either.
+COMPOUND = "compound"
 #: Maps of position, which follow from the probe alone and are the same in all frames.
 OF_POSITION = frozenset(_POSITION_MAPS[Position.beam])
 

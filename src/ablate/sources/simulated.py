@@ -14,7 +14,7 @@ from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset import Dropped, Part, Placement, Recipe
 from ablate.dataset.motion import MOVED_FOLDER, Motion, moved_frames, moved_poses
 from ablate.dataset.own_poses import near_training
-from ablate.networks import Space
+from ablate.networks import Attenuation, Space
 from ablate.setting import identity, plain
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
 from ablate.sources.data_set import PAIRS_RECIPE, training_frames
@@ -30,10 +30,13 @@ def identity_of(settings: StudySettings, scene: Mapping[str, object]) -> dict[st
         poses, sites = dataset.read_poses(Path(settings.dataset.poses))
         del chosen["grid"], chosen["press_mm"]
         chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
+    simulator = identity(settings.simulator)
+    if settings.simulator.compound_angles == 1:  # nothing is steered
+        del simulator["compound_angles"], simulator["compound_steer_deg"]
     return {
         "scene": dict(scene),
         "probe": plain(settings.probe),
-        "simulator": identity(settings.simulator),
+        "simulator": simulator,
         "simulator_version": SIMULATOR_VERSION,
         "dataset": chosen,
         **PAIRS_RECIPE,
@@ -51,6 +54,11 @@ def check_frames(settings: StudySettings, sites: SiteGrid | None) -> int:
     `sites` are None where a folder has none, and may do without.
     """
     simulator = settings.simulator
+    with refusing("simulator."):
+        simulator.check_probe(settings.probe)
+    if settings.model.attenuation is Attenuation.compound and simulator.compound_angles == 1:
+        what = "the mean over the angles of simulator.compound_angles, which is 1"
+        raise ConfigurationError(f"model.attenuation=compound: {what}; allowed are integral, or 3, 5, 7 or 9 angles")
     sets_gain = simulator.tgc is TimeGain.patient or simulator.time_gain_db
     if sets_gain and simulator.tgc_db_cm_mhz != SimulatorSettings.tgc_db_cm_mhz:
         raise ConfigurationError("simulator.tgc_db_cm_mhz: allowed with simulator.tgc=fixed and no time_gain_db")

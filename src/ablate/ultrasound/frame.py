@@ -28,6 +28,8 @@ class Beam:
         Grey levels.
     grain : (rows, scanlines, 2) complex64
         The lattice of scatterers before any tissue (`lattice.grain`); empty where not asked for.
+    compound : (rows, scanlines) float32 in [0, 1]
+        The mean attenuation map of all angles that a frame is compounded of; empty where not asked for.
     """
 
     segmentation: np.ndarray
@@ -36,6 +38,7 @@ class Beam:
     illumination: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
     image: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.uint8))
     grain: np.ndarray = field(default_factory=partial(np.empty, (0, 0, 2), np.complex64))
+    compound: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Frame:
     mask : (H, W) bool
         The fan; equal to `segmentation > 0`.
     envelope : (axial samples, scanlines) float32
-        Linear envelope before TGC, noise floor and log.
+        Linear envelope before TGC, noise floor and log; the mean of all angles.
     beam : Beam or None
         The same before scan conversion; image and attenuation are made from it. None in a frame made elsewhere.
     probe : Probe or None

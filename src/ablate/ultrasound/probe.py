@@ -29,6 +29,9 @@ class Fan(NamedTuple):
     width_mm: Callable[[np.ndarray], np.ndarray]  # from the first scanline to the last, at depths
     polar: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # depths and positions of points x, z
     lines: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # starts and directions, (n, 3) each, by positions
+    #: How far a scanline that is steered by an angle, rad, goes to points at depths, mm, and how far beside them it
+    #: starts, in positions.
+    steered: Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]
     flat_face_mm: float | None = None  # where the face is not where the scanlines start
 
 
@@ -40,6 +43,11 @@ def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float
         directions = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
         return radius * directions - (0.0, 0.0, radius), directions
 
+    def steered(angle: float, depth_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        from_centre = radius + depth_mm
+        there = np.arcsin(radius * math.sin(angle) / from_centre)  # its angle with the radius, by the law of sines
+        return from_centre * np.cos(there) - radius * math.cos(angle), there - angle
+
     return Fan(
         size_mm=(reach - radius * math.cos(half), 2 * reach * math.sin(half)),
         sag_mm=radius * (1 - math.cos(half)),
@@ -48,6 +56,7 @@ def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float
         width_mm=lambda depth_mm: (radius + depth_mm) * (2 * half),
         polar=lambda x, z: (np.hypot(x, z + radius) - radius, np.arctan2(x, z + radius)),
         lines=lines,
+        steered=steered,
         flat_face_mm=flat_face_mm,
     )
 
@@ -68,6 +77,7 @@ def _rectangle(probe: LinearProbe) -> Fan:
         width_mm=lambda depth_mm: np.full(np.shape(depth_mm), wide),
         polar=lambda x, z: (z + np.zeros_like(x), x + np.zeros_like(z)),
         lines=lines,
+        steered=lambda angle, depth_mm: (depth_mm / math.cos(angle), -math.tan(angle) * depth_mm),
     )
 
 
@@ -213,10 +223,33 @@ def fan_outline(probe: Probe, points: int = 41) -> np.ndarray:
     return np.concatenate([starts, deepest[::-1], starts[:1]])
 
 
-def scanlines_in_plane(probe: Probe, scanlines: int, offsets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and unit directions, (planes, scanlines, 3) float64, mm, of the scanlines of planes at offsets along y."""
+def scanlines_in_plane(
+    probe: Probe, scanlines: int, offsets_mm: np.ndarray, steered_rad: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The scanlines of some planes.
+
+    Parameters
+    ----------
+    probe : Probe
+        Its face.
+    scanlines : int
+        Of each plane.
+    offsets_mm : (planes,) float
+        Of the planes, along the probe's y.
+    steered_rad : float
+        Angle that the scanlines are turned by in their plane, about their starts, towards growing x.
+
+    Returns
+    -------
+    starts, directions : (planes, scanlines, 3) float64
+        mm, and unit vectors.
+    """
     planes = len(offsets_mm)
     line = fan_of(probe).lines(scanline_positions(probe, scanlines))
+    if steered_rad:
+        ahead = line[1]
+        aside = np.stack([ahead[:, 2], ahead[:, 1], -ahead[:, 0]], axis=-1)
+        line = line[0], math.cos(steered_rad) * ahead + math.sin(steered_rad) * aside
     starts, directions = (np.tile(part, (planes, 1, 1)) for part in line)
     starts[..., 1] += np.asarray(offsets_mm)[:, None]
     return starts, directions

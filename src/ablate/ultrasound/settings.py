@@ -126,6 +126,12 @@ class SimulatorSettings:
         unit="dB",
     )
     depth_mode: DepthMode = setting(DepthMode.geometric, "Where an echo is drawn.")
+    compound_angles: int = setting(
+        1, "Directions that scanlines are steered to, whose envelopes are averaged: an odd number.", least=1, most=9
+    )
+    compound_steer_deg: float = setting(
+        10.0, "Largest of these angles to either side; they are evenly spaced.", least=0, most=30, unit="degrees"
+    )
     plan: PlanMode = setting(PlanMode.auto, "Whether what a scene does not need is left out.", incidental=True)
     precision: SimulatorPrecision = setting(SimulatorPrecision.float32, "Floating point of the signal chain.")
     device: str = setting(
@@ -141,6 +147,16 @@ class SimulatorSettings:
         if self.axial_samples > self.samples_per_row and self.axial_samples % self.samples_per_row:
             allowed = f"multiples of samples_per_row={self.samples_per_row}"
             raise ValueError(f"axial_samples={self.axial_samples}: allowed are {allowed}")
+        if self.compound_angles % 2 == 0:
+            raise ValueError(f"compound_angles={self.compound_angles}: allowed are 1, 3, 5, 7, 9")
+        if self.compound_angles > 1 and self.depth_mode is DepthMode.time_of_flight:
+            raise ValueError(f"compound_angles={self.compound_angles}: allowed with depth_mode=time_of_flight is 1")
+
+    def check_probe(self, probe: Probe) -> None:
+        """Refuse, by a ValueError, to compound images of a probe whose scanlines cannot be steered."""
+        if self.compound_angles > 1 and isinstance(probe, PhasedProbe):
+            why = "its scanlines diverge from one point"
+            raise ValueError(f"compound_angles={self.compound_angles}: allowed with a phased probe is 1, because {why}")
 
     @property
     def beam_shape(self) -> tuple[int, int]:
@@ -154,8 +170,8 @@ class SimulatorSettings:
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
-        """Settings of the low-quality image L: one ray and one layer where `changes` do not say otherwise."""
-        return cls(**({"rays": 1, "layers": 1} | changes))  # type: ignore[arg-type]
+        """Settings of the low-quality image L: one ray, layer and angle where `changes` do not say otherwise."""
+        return cls(**({"rays": 1, "layers": 1, "compound_angles": 1} | changes))  # type: ignore[arg-type]
 
 
 class ProbeKind(StrEnum):

@@ -15,7 +15,8 @@ from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.frame import Beam, Frame
-from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
+from ablate.ultrasound.imaging.bmode import Display, Prepared, Returned, SignalChain, means_of_rows
+from ablate.ultrasound.imaging.compounding import shares
 from ablate.ultrasound.imaging.lattice import body_lines, grain, pose_in_body
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
@@ -89,6 +90,7 @@ class Simulator:
         elif beside.scene is not scene:
             raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
         settings = settings or SimulatorSettings()
+        settings.check_probe(probe)
         if settings.device == "auto":
             settings = replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
         if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
@@ -106,11 +108,14 @@ class Simulator:
             self._geometry: Geometry = beside._geometry.reaching(extent)
         else:
             self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
-        self._tracer = Tracer(self._geometry, self._plan, probe, settings)
         # one way of two equal Gaussians is wider than both by sqrt(2)
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
+        self._tracers = tuple(
+            Tracer(self._geometry, self._plan, probe, replace(settings, path_seed=one.path_seed), one.angle_rad)
+            for one in self._chain.sets
+        )
         self._weights, self._pulse = layer_weights(probe, settings)[1], float(self._chain.spread.axial.sum())
         self._surface_maps = SurfaceMaps(self._geometry, self._plan, (self._beam, self._aperture), probe, settings)
         self._kept: dict[Make, tuple[bytes, Any]] = {}  # of the last pose
@@ -174,16 +179,31 @@ class Simulator:
             beam, labels = side_by_side(*(partial(self._of, pose, make) for make in makes))
             return labels.copy(), self._chain.convert.to_image(beam[1])
 
-    def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True) -> Beam:
-        """Segmentation, attenuation and, if asked for, the maps of surfaces of a pose in beam space; without an image.
+    def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True, of_angles: bool = False) -> Beam:
+        """Segmentation, attenuation and, if asked for, other maps of a pose in beam space; without an image.
 
         Raises ValueError when the pose is not rigid.
+
+        Parameters
+        ----------
+        pose : (4, 4) float
+            Rigid transform from probe to world, mm.
+        of_surfaces : bool
+            Whether `interfaces` and `illumination` are made.
+        of_angles : bool
+            Whether `compound` is made.
         """
         pose = check_pose(pose)
-        makes = (Simulator._maps_of_surfaces, Simulator._tissue_maps) if of_surfaces else (Simulator._tissue_maps,)
+        makes: dict[Make, tuple[str, ...]] = {
+            Simulator._maps_of_surfaces: ("interfaces", "illumination") if of_surfaces else (),
+            Simulator._tissue_maps: ("segmentation", "attenuation"),
+            Simulator._attenuation_of_angles: ("compound",) if of_angles else (),
+        }
+        wanted = {make: names for make, names in makes.items() if names}
         with without_teams():
-            *surfaces, tissues = side_by_side(*(partial(self._of, pose, make) for make in makes))
-        return Beam(*(made.copy() for made in chain(tissues, *surfaces)))
+            made = chain.from_iterable(side_by_side(*(partial(self._of, pose, make) for make in wanted)))
+        names = chain.from_iterable(wanted.values())
+        return Beam(**{name: values.copy() for name, values in zip(names, made, strict=True)})
 
     def grain(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
         """The lattice of scatterers as a pose sees it, (rows, scanlines, 2) complex64; see `lattice.grain`.
@@ -221,6 +241,15 @@ class Simulator:
         segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)
         return segmentation, np.ascontiguousarray(amplitude.T)
 
+    def _attenuation_of_angles(self, local: np.ndarray) -> tuple[np.ndarray]:
+        """The mean of the attenuation maps of all angles, of those that see a place, in beam space."""
+        spacing_mm = self.probe.depth_mm / self.settings.axial_samples
+        mean = np.zeros((self.settings.scanlines, self.settings.axial_samples), np.float32)
+        for one, share in zip(self._chain.sets, shares(self._chain.sets), strict=True):
+            labels = self._scanline_tissues(local, one.angle_rad)
+            mean += share * one.taken(integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm))
+        return (np.ascontiguousarray(means_of_rows(mean, self.settings)),)
+
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
 
@@ -229,26 +258,32 @@ class Simulator:
         labels: np.ndarray = self._of(check_pose(pose), Simulator._scanline_tissues)
         return labels.copy()
 
-    def _scanline_tissues(self, local: np.ndarray) -> np.ndarray:
-        return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local)
+    def _scanline_tissues(self, local: np.ndarray, steered_rad: float = 0.0) -> np.ndarray:
+        return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local, steered_rad)
 
     def _prepare(self, local: np.ndarray) -> Prepared:
         """What the signal chain needs."""
-        probe, settings, plan = self.probe, self.settings, self._plan
-        bundle = self._tracer.at(local)
-        labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
-        words = contact_warning(labels, self.scene.tissues, probe)
+        pose = local.copy()
+        pose[:3, 3] += self._origin_mm
+        in_body = body_lines(pose_in_body(pose, self.scene.body), self.probe, self.settings)
+        traced = [self._returned(number, local) for number in range(len(self._tracers))]
+        _, labels, ranges = traced[len(traced) // 2]
+        words = contact_warning(labels, self.scene.tissues, self.probe)
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
             warnings.warn(words, stacklevel=4)
+        return Prepared((*in_body, labels, ranges), tuple(returned for returned, _, _ in traced))
+
+    def _returned(self, number: int, local: np.ndarray) -> tuple[Returned, np.ndarray, np.ndarray]:
+        """What rays of a set of scanlines bring back; labels and ranges of these, as of `scanline_labels`."""
+        probe, settings, plan, tracer = self.probe, self.settings, self._plan, self._tracers[number]
+        bundle = tracer.at(local)
+        labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
         nodes = lines.empty_nodes(labels, plan.media.anechoic, probe.depth_mm)
-        echoes = self._tracer(bundle, nodes)
+        echoes = tracer(bundle, nodes)
         level_db = lines.mean_level_db(nodes.amplitude, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         places = self._weights, settings.rays, probe.depth_mm
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
         clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._pulse)
-        pose = local.copy()
-        pose[:3, 3] += self._origin_mm
-        in_body = body_lines(pose_in_body(pose, self.scene.body), probe, settings)
-        return Prepared((*in_body, labels, ranges), level_db, surfaces, clutter)
+        return self._chain.returned(number, level_db, surfaces, clutter), labels, ranges

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.networks.spec import GRAIN, OF_SURFACES, Space
+from ablate.networks.spec import COMPOUND, GRAIN, OF_SURFACES, Space
 from ablate.ultrasound import (
     Display,
     Probe,
@@ -34,8 +34,9 @@ _KEPT_GENERATORS = 4
 
 
 def coarse(settings: SimulatorSettings) -> SimulatorSettings:
-    """Settings for a moving probe: one layer, few rays, every second scanline. Scatterers stay where they are."""
-    return replace(settings, rays=min(settings.rays, _COARSE_RAYS), layers=1, scanlines=-(-settings.scanlines // 2))
+    """Settings for a moving probe: one layer and angle, few rays, every second scanline; scatterers stay in place."""
+    lines, rays = -(-settings.scanlines // 2), min(settings.rays, _COARSE_RAYS)
+    return replace(settings, rays=rays, layers=1, scanlines=lines, compound_angles=1)
 
 
 class SceneRenderer:
@@ -120,7 +121,7 @@ class SceneRenderer:
         reads_surfaces = bool(OF_SURFACES & set(trained.reads))
 
         def render() -> np.ndarray:
-            beam = simulator.beam_maps(state.pose, reads_surfaces)
+            beam = simulator.beam_maps(state.pose, reads_surfaces, COMPOUND in trained.reads)
             if GRAIN in trained.reads:  # of all layers even while the probe moves, as the network was trained
                 lattice = grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
                 beam = replace(beam, grain=lattice)
@@ -153,7 +154,7 @@ class SceneRenderer:
 
     def _low(self, state: ViewerState, space: Space) -> np.ndarray:
         """The image of low quality in one space, as the simulator's settings display it."""
-        simulator = self._simulator(state.probe, replace(state.simulator, rays=1, layers=1))
+        simulator = self._simulator(state.probe, replace(state.simulator, rays=1, layers=1, compound_angles=1))
         make = simulator.image if space is Space.image else simulator.beam_image
         as_set = replace(state, display=None)
         low, _ = self._once("low", (*_place(state), state.seed, space), lambda: _quietly(make, as_set))

@@ -12,7 +12,7 @@ from ablate.viewer.session import Views
 
 GOOD = "#2f9e44"
 BAD = "#e8590c"
-_DIM = "#868e96"
+DIM = "#868e96"
 _LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 
 
@@ -35,7 +35,7 @@ def caption(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
         views.quality.value,
     ]
     notes = [line(note, BAD) for note in dict.fromkeys(views.notes.values())]
-    return "".join([line(" · ".join(words), _DIM), *notes, _legend(views, scene, colours)])
+    return "".join([line(" · ".join(words), DIM), *notes, _legend(views, scene, colours)])
 
 
 def line(words: str, colour: str) -> str:

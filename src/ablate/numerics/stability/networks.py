@@ -36,6 +36,7 @@ def maps_of(device: str, seed: int = 0, levels: int = 6) -> dict[str, Tensor]:
         "attenuation": torch.linspace(1, 0, side)[:, None] * mask,
         "compensated": torch.linspace(0.2, 0.8, side)[:, None] * mask,
         "illumination": torch.linspace(0.9, 0.1, side)[:, None] * mask,
+        "compound": torch.linspace(1, 0.3, side)[:, None] * mask,
         "interfaces": speckle * mask,
         "low": (speckle - 1) * mask + mask - 1,
         "target": speckle * mask - 1,

@@ -17,7 +17,7 @@ from ablate.dataset.png_tables import odd_lengths
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
 from ablate.networks import Attenuation, GeneratorSpec, Position, Space, conditions
-from ablate.networks.spec import GRAIN, OF_POSITION, OF_SURFACES
+from ablate.networks.spec import COMPOUND, GRAIN, OF_POSITION, OF_SURFACES
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.data_set import PAIRS_RECIPE, training_frames
@@ -197,8 +197,8 @@ def _check_reads(spec: GeneratorSpec, label: str, checked: PngFolder) -> None:
         )
     readable = checked.maps | OF_POSITION
     for name in conditions(spec):
-        if name in OF_SURFACES:
-            setting = "interfaces=echo" if name == "interfaces" else "attenuation=illumination"
+        if name in OF_SURFACES | {COMPOUND}:
+            setting = "interfaces=echo" if name == "interfaces" else f"attenuation={name}"
             others = "none" if name == "interfaces" else "integral and none"
             why = "only a simulator makes this map; for pairs made elsewhere allowed are"
             raise ConfigurationError(f"model.{setting} in variant {label}: {why} {others}")

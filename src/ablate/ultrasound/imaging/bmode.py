@@ -11,9 +11,9 @@ import torch
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.imaging.compounding import shares, steered_sets
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
 from ablate.ultrasound.imaging.speckle import Lines, Speckle
-from ablate.ultrasound.probe import sample_depths_mm
 from ablate.ultrasound.scan_conversion import ScanConverter
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
@@ -120,11 +120,18 @@ def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What rays bring back, for images with any number of seeds; echoes are amplitudes at the receiver."""
+    """The scanlines and what rays bring back on them, for images with any number of seeds."""
 
-    lines: Lines  # of `Speckle.insonify`, with
+    lines: Lines  # of `Speckle.insonify`
+    sets: tuple["Returned", ...]  # of each of `SignalChain.sets`
+
+
+@dataclass(frozen=True)
+class Returned:
+    """What rays of one set of scanlines bring back, on those of the frame; echoes are amplitudes at the receiver."""
+
     level_db: np.ndarray  # (groups, nodes)
-    surfaces: np.ndarray  # (scanlines, samples)
+    surfaces: np.ndarray  # (scanlines, samples); of steered scanlines after the pulse
     clutter: np.ndarray  # reverberation after the pulse, (scanlines, samples), or (0, samples) where there is none
 
 
@@ -136,17 +143,20 @@ class SignalChain:
         self.dtype: torch.dtype = getattr(torch, settings.precision.value)
         self.convert = ScanConverter(probe, settings.beam_shape, settings.image_shape)
         self.spread = point_spread(probe, settings, self.dtype)
-        self.speckle = Speckle(tissues, probe, settings, getattr(np, settings.precision.value))
-        self._depth_mm = sample_depths_mm(probe, settings.axial_samples)
-        gain_db = np.minimum(time_gain_db(self._depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
-        self.gain = 10 ** (gain_db / 20)  # of the samples, two-way
+        self.sets = steered_sets(probe, settings)
+        turns_rad = [one.turn_rad for one in self.sets]
+        self.speckle = Speckle(tissues, probe, settings, getattr(np, settings.precision.value), turns_rad)
+        self._range_mm = np.minimum([one.range_mm for one in self.sets], probe.depth_mm)
+        gain_db = np.minimum(time_gain_db(self._range_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
+        self._gain = 10 ** (gain_db / 20)  # of each set's samples, two-way, by how far they are along their scanlines
+        self._shares = shares(self.sets)
         self._noise: tuple[int, np.ndarray] | None = None
 
-    def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
+    def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, list[tuple[int, int]]]:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
 
         It follows `path_seed` and the scatterers' seed. Also by how many scanlines and samples a frame is to shift it,
-        a hash of the pose, so that frames share no pattern.
+        a hash of the pose, so that frames share no pattern; of each set of scanlines.
         """
         kept = self._noise  # looked at once: threads may render other seeds
         if kept is None or kept[0] != seed:
@@ -156,8 +166,9 @@ class SignalChain:
             shape = (2, self.settings.scanlines, self.settings.axial_samples)
             white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
             kept = self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt()).cpu().numpy()
-        key = zlib.crc32(pose.tobytes())
-        return kept[1], (key % 65521, key // 7)
+        salts = (one.number.to_bytes(1, signed=True) if one.number else b"" for one in self.sets)
+        keys_of_sets = [zlib.crc32(pose.tobytes() + salt) for salt in salts]
+        return kept[1], [(key % 65521, key // 7) for key in keys_of_sets]
 
     def image(
         self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
@@ -184,25 +195,65 @@ class SignalChain:
         envelope : (scanlines, samples) float
             Its amplitude before the gain.
         """
-        settings, (noise, shift) = self.settings, self.noise(pose, seed)
-        gain = self.gain / settings.reference_level
-        floor = 10 ** (settings.noise_floor_db / 20) / gain.max()  # rms
+        settings, (noise, shifts) = self.settings, self.noise(pose, seed)
+        gain = self._gain / settings.reference_level
+        floor = 10 ** (settings.noise_floor_db / 20) / gain[len(gain) // 2].max()  # rms
         if display is not None:
-            gain = gain * 10 ** (display.gain_at(self._depth_mm / self.probe.depth_mm) / 20)
+            gain = gain * 10 ** (display.gain_at(self._range_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)
-        if prepared is None:
-            signal, clutter = np.zeros_like(noise), noise[0, :0]
-        else:
-            scatterers = self.speckle.insonify(prepared.lines, prepared.level_db, seed)
-            signal = blur(self.speckle(scatterers, seed), prepared.surfaces, self.spread)
-            clutter = prepared.clutter
-        envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
+        signals = [(*self._signal(prepared, number, seed), noise) for number in range(len(self.sets))]
+        envelope, grey = np.zeros((2, *noise.shape[1:]), noise.dtype)
+        of_one, power_of_one = (np.empty_like(envelope) if len(signals) > 1 else part for part in (envelope, grey))
         picture = np.empty(settings.beam_shape, np.uint8)
 
         def shown(begin: int, end: int) -> None:
-            _received((signal, clutter, noise), shift, gain, floor, (envelope, grey), begin, end)
+            some = slice(begin, end)
+            for number, (signal, shift) in enumerate(zip(signals, shifts, strict=True)):
+                _received(signal, shift, gain[number], floor, (of_one, power_of_one), begin, end)
+                if len(signals) > 1:
+                    envelope[some] += self._shares[number][some] * of_one[some]
+                    grey[some] += self._shares[number][some] * np.sqrt(power_of_one[some])
+            if len(signals) > 1:
+                np.square(grey[some], out=grey[some])
             grey_levels(grey[begin:end], settings.dynamic_range_db)
             picture[:, begin:end] = np.rint(means_of_rows(grey[begin:end], settings))
 
         stage(Stage.grey_levels)(in_parts)(shown, len(grey), LINES_OF_A_PART)
         return picture, envelope
+
+    def _signal(self, prepared: Prepared | None, number: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """The signal of a set, (2, scanlines, samples), and its reverberation, (scanlines or 0, samples)."""
+        if prepared is None:
+            shape, dtype = (2, self.settings.scanlines, self.settings.axial_samples), self.speckle.dtype
+            return np.zeros(shape, dtype), np.empty((0, shape[2]), dtype)
+        one, returned = self.sets[number], prepared.sets[number]
+        insonified = self.speckle.insonify(prepared.lines, returned.level_db, seed)
+        scatterers = self.speckle(insonified, seed, one.turn_rad)
+        if not one.number:
+            return blur(scatterers, returned.surfaces, self.spread), returned.clutter
+        signal = blur(scatterers, None, self.spread, one.shift)
+        signal[0] += returned.surfaces
+        return signal, returned.clutter
+
+    def returned(self, number: int, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray) -> Returned:
+        """What rays of a set bring back on its own scanlines, on those of the frame.
+
+        Echoes of surfaces have the pulse before they are interpolated: those of a tilted surface do not add up else.
+
+        Parameters
+        ----------
+        number : int
+            Of the set in `sets`.
+        level_db : (groups, nodes) float
+            The illumination.
+        surfaces : (scanlines, samples) float
+            Echoes of surfaces.
+        clutter : (scanlines or 0, samples) float
+            Reverberation.
+        """
+        one = self.sets[number]
+        if not one.number:
+            return Returned(level_db, surfaces, clutter)
+        if surfaces.any():
+            surfaces = blur(np.zeros((1, *surfaces.shape)), surfaces, self.spread, one.shift)[0]
+        return Returned(one.level(level_db), one.taken(surfaces), one.taken(clutter))

@@ -132,28 +132,61 @@ def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) 
 
 
 @stage(Stage.point_spread)
-def blur(scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread) -> np.ndarray:
+def blur(
+    scatterers: np.ndarray, surfaces: np.ndarray | None, spread: PointSpread, shift: np.ndarray | None = None
+) -> np.ndarray:
     """Scatterers through the PSF of unit energy, plus surfaces through that whose main lobe has unit peak and sum.
 
-    Scatterers and the result are (2, scanlines, samples), real and imaginary part; surfaces are (scanlines, samples).
+    Parameters
+    ----------
+    scatterers : (channels, scanlines, samples) float
+        Real and imaginary part, or the former alone.
+    surfaces : (scanlines, samples) float, or None
+        Amplitudes; None where there are none.
+    spread : PointSpread
+        The kernels.
+    shift : (scanlines,) int, optional
+        By how many samples each scanline is moved so that a wave front, along which beams spread, lies in one column.
+
+    Returns
+    -------
+    (channels, scanlines, samples) float
+        Real and imaginary part.
     """
+    if shift is not None:
+        room = int(np.abs(shift).max())
+        scatterers = _moved(scatterers, room + shift, 2 * room)
+        surfaces = None if surfaces is None else _moved(surfaces, room + shift, 2 * room)
     lateral = spread.lateral
-    given, flat = torch.from_numpy(scatterers).to(lateral), torch.from_numpy(surfaces).to(lateral.device)
+    given = torch.from_numpy(scatterers).to(lateral)
+    flat = None if surfaces is None else torch.from_numpy(surfaces).to(lateral.device)
     total = torch.empty_like(given)
     blocks = _BLOCKS if len(lateral) > 1 else _BLOCKS // _BLOCKS_OF_A_PART  # of one kernel, larger ones are faster
-    edges = np.linspace(0, surfaces.shape[1], blocks + 1).round().astype(int)
+    edges = np.linspace(0, given.shape[2], blocks + 1).round().astype(int)
 
     def across(begin: int, end: int) -> None:
         for block in range(begin, end):
             some, kernel = slice(edges[block], edges[block + 1]), min(block, len(lateral) - 1)
             for channel, signal in enumerate(given):
                 own = torch.mm(lateral[kernel], signal[:, some]).mul_(spread.scatterer_scale[kernel])
-                if channel == 0:
+                if channel == 0 and flat is not None:
                     own.addmm_(lateral[kernel], flat[:, some].to(lateral.dtype))
                 total[channel, :, some] = own
 
-    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if flat.device.type == "cpu" else blocks)
+    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if given.device.type == "cpu" else blocks)
+    if shift is not None:
+        total = torch.stack(
+            [total[:, line, room + by : total.shape[2] - room + by] for line, by in enumerate(shift)], 1
+        )
     return along_lines(total, spread.axial).cpu().numpy()
+
+
+def _moved(lines: np.ndarray, by: np.ndarray, more: int) -> np.ndarray:
+    """Lines, (..., scanlines, samples), each moved by so many samples among zeros, (..., scanlines, samples + more)."""
+    moved = np.zeros((*lines.shape[:-1], lines.shape[-1] + more), lines.dtype)
+    for line, samples in enumerate(by):
+        moved[..., line, samples : samples + lines.shape[-1]] = lines[..., line, :]
+    return moved
 
 
 def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:

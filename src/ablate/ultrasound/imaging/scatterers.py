@@ -40,27 +40,46 @@ def _variates() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @cache
-def white_table() -> np.ndarray:
-    """Complex variates of the lattice, before any tissue, (TABLE_SIZE,) complex64 of mean square 1."""
-    _, normal, phasor = _variates()
+def _beside() -> np.ndarray:
+    """How far beside the beam's axis each scatterer of an entry lies, normal of variance 1, (draws, TABLE_SIZE)."""
+    generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, 1]))
+    return generator.standard_normal((DRAWS_PER_SAMPLE, TABLE_SIZE), np.float32)
+
+
+def _phasors(turn_rad: float) -> np.ndarray:
+    """Phasors of the scatterers of each entry, (draws, TABLE_SIZE), as a steered wave meets them."""
+    phasor = _variates()[2]
+    return phasor * np.exp(1j * np.float32(turn_rad) * _beside()) if turn_rad else phasor
+
+
+@lru_cache(maxsize=16)
+def white_table(turn_rad: float = 0.0) -> np.ndarray:
+    """Complex variates of the lattice, before any tissue, (TABLE_SIZE,) complex64 of mean square 1.
+
+    A wave that is steered aside meets the scatterers of an entry in another order: the phase of each turns by a normal
+    angle of the standard deviation `turn_rad`. Entries of two such waves correlate by exp(-d^2 / 2), d the difference
+    of their `turn_rad`.
+    """
+    normal, phasor = _variates()[1], _phasors(turn_rad)
     total = (normal * phasor).sum(axis=0)
     white: np.ndarray = (total / np.sqrt(np.mean(np.abs(total) ** 2))).astype(np.complex64)
     return white
 
 
-@lru_cache(maxsize=256)
-def scatterer_table(tissue: Tissue) -> np.ndarray:
+@lru_cache(maxsize=512)
+def scatterer_table(tissue: Tissue, turn_rad: float = 0.0) -> np.ndarray:
     """Complex scatterer strengths of a tissue, which the hash chooses from, (TABLE_SIZE,) complex64.
 
     s = [u <= density] (mean + sd n), Burger et al. 2013, eq. 15, less its expectation (a band-pass pulse does not
     see it), with a random phase; summed over `DRAWS_PER_SAMPLE` and scaled so that the mean square is
     `Tissue.scatter_power`. The amplitudes are put in the order of those of `white_table`, and have its phases: their
     distribution is that of the sums, and the lattice tells, in each cell, how bright a tissue's scatterer is among all
-    of the tissue's. A tissue more in a scene changes no other's speckle.
+    of the tissue's. A tissue more in a scene changes no other's speckle. `turn_rad` is that of `white_table`.
     """
     if tissue.scatter_power <= 0:
         return np.zeros(TABLE_SIZE, np.complex64)
-    uniform, normal, phasor = _variates()
+    uniform, normal, _ = _variates()
+    phasor = _phasors(turn_rad)
     here = uniform <= tissue.scatterer_density
     strength = here * (tissue.scatterer_sd * normal)
     strength += (here - tissue.scatterer_density) * tissue.scatterer_mean  # a large mean cancels before it is added
@@ -68,7 +87,7 @@ def scatterer_table(tissue: Tissue) -> np.ndarray:
     power = np.mean(amplitudes**2)  # 0 where the table of a very sparse tissue holds no scatterer
     if power > 0:
         amplitudes *= math.sqrt(tissue.scatter_power / power)
-    white = white_table()
+    white = white_table(turn_rad)
     in_order = np.argsort(np.abs(white), kind="stable")
     table = np.empty(TABLE_SIZE, np.complex64)
     table[in_order] = amplitudes * (white / np.abs(white))[in_order]

@@ -17,16 +17,23 @@ Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directi
 
 
 class Speckle:
-    """Scatterers of a scene's tissues on the scanlines of a probe; `dtype` is the signal's, positions stay float32."""
+    """Scatterers of a scene's tissues on the scanlines of a probe; `dtype` is the signal's, positions stay float32.
+
+    `turns_rad` are those that waves give them, see `scatterers.white_table`.
+    """
 
     def __init__(
-        self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings, dtype: type[np.floating]
+        self,
+        tissues: Sequence[Tissue],
+        probe: Probe,
+        settings: SimulatorSettings,
+        dtype: type[np.floating],
+        turns_rad: Sequence[float] = (0.0,),
     ) -> None:
-        self._probe, self._settings, self._dtype = probe, settings, dtype
+        self._probe, self._settings, self.dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
         self._pitch_mm = lattice.pitch_mm(probe, settings)
-        tables = np.concatenate([scatterers.scatterer_table(tissue) for tissue in tissues])[:, None]
-        self._tables = np.concatenate([tables.real, tables.imag], axis=1).astype(dtype)  # (tissues * TABLE_SIZE, 2)
+        self._tables = {turn: _table(tissues, turn).astype(dtype) for turn in turns_rad}
         self._silent = np.array([settings.plan is PlanMode.auto and tissue.scatter_power == 0 for tissue in tissues])
         self._textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues])
         kernel = axial_kernel(probe, settings)
@@ -53,7 +60,7 @@ class Speckle:
         textured = any((labels[:, :: self._stride] == tissue).any() for tissue in np.flatnonzero(self._textures[:, 3]))
         places = max(nodes, shape[2] // self._stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
-        amplitude = np.empty(labels.shape, self._dtype)
+        amplitude = np.empty(labels.shape, self.dtype)
         of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
         textures = self._textures, texture.texture_volume(), texture.texture_start(seed), coarse
         fill = partial(texture.insonify, amplitude, node_db.reshape(-1, nodes), of_lines, textures)
@@ -64,11 +71,11 @@ class Speckle:
         return scatterers.Samples(*places, ranges, tissue, amplitude)
 
     @stage(Stage.scatterers)
-    def __call__(self, lines: scatterers.Samples, seed: int) -> np.ndarray:
+    def __call__(self, lines: scatterers.Samples, seed: int, turn_rad: float = 0.0) -> np.ndarray:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples): real and imaginary part."""
         summed = np.empty((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
         cells = np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
-        add_up = partial(scatterers.sum_scatterers, summed, lines, cells, (self._silent, self._tables))
+        add_up = partial(scatterers.sum_scatterers, summed, lines, cells, (self._silent, self._tables[turn_rad]))
         in_parts(add_up, summed.shape[1], LINES_OF_A_PART)
         return summed
 
@@ -93,3 +100,9 @@ class Speckle:
         steps = np.gradient(starts, axis=0)[:, None] + depth_mm[:, None] * np.gradient(directions, axis=0)[:, None]
         sigma = lateral_sigma(self._probe, self._settings, depth_mm).T
         return 10 * np.log10(scatterers.shared_cell_gain_across(steps, sigma, self._pitch_mm))
+
+
+def _table(tissues: Sequence[Tissue], turn_rad: float) -> np.ndarray:
+    """Real and imaginary parts of the tissues' tables, one after the other, (tissues * TABLE_SIZE, 2) float32."""
+    table = np.concatenate([scatterers.scatterer_table(tissue, turn_rad) for tissue in tissues])[:, None]
+    return np.concatenate([table.real, table.imag], axis=1)

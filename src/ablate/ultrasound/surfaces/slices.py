@@ -102,7 +102,12 @@ def segment(
 
 @stage(Stage.attenuation_labels)
 def plane_labels(
-    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, settings: SimulatorSettings, pose: np.ndarray
+    geometry: Geometry,
+    tissue_of_owner: np.ndarray,
+    probe: Probe,
+    settings: SimulatorSettings,
+    pose: np.ndarray,
+    steered_rad: float = 0.0,
 ) -> np.ndarray:
     """The tissue of each sample of the image plane's scanlines.
 
@@ -118,13 +123,15 @@ def plane_labels(
         How many scanlines and samples there are.
     pose : (4, 4) float64
         From probe to the geometry's coordinates.
+    steered_rad : float
+        Angle that the scanlines are steered by.
 
     Returns
     -------
     (scanlines, samples) uint8
         Indices in `Scene.tissues`.
     """
-    starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1)))
+    starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1), steered_rad))
     starts, directions = to_world(pose, starts), directions @ pose[:3, :3].T
     spacing = probe.depth_mm / settings.axial_samples
     samples = Samples(spacing / 2, spacing, settings.axial_samples, tissue_of_owner)

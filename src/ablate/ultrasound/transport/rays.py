@@ -194,12 +194,23 @@ class Bundle:
     inside: np.ndarray  # (groups * rays, words) uint32, the sets that rays start inside of; none but at a pose
 
 
-def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws) -> Bundle:
+def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws, steered_rad: float = 0.0) -> Bundle:
     """Rays spread over the aperture, all at `focus_mm` from the focal point of their scanline and layer.
 
     Because path lengths to the focus agree, a point at the focus stays a point.
+
+    Parameters
+    ----------
+    probe : Probe
+        Its face.
+    settings : SimulatorSettings
+        How many scanlines, layers and rays there are, and where they meet.
+    draws : Draws
+        Of where in the aperture each ray starts.
+    steered_rad : float
+        Angle that the scanlines are steered by.
     """
-    starts, directions = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
+    starts, directions = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings), steered_rad)
     starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
     lateral = np.stack([directions[:, 2], np.zeros(len(directions)), -directions[:, 0]], axis=-1)
     jitter = (2 * draws.aperture() - 1).astype(np.float64)

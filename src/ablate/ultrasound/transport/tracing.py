@@ -46,15 +46,22 @@ _ROULETTE_DB = 24.0
 
 
 class Tracer:
-    """Traces the rays of frames of a geometry, for one probe and one set of settings."""
+    """Traces the rays of frames of a geometry, for one probe, one set of settings and one angle of the scanlines."""
 
-    def __init__(self, geometry: Geometry, plan: RenderPlan, probe: Probe, settings: SimulatorSettings) -> None:
+    def __init__(
+        self,
+        geometry: Geometry,
+        plan: RenderPlan,
+        probe: Probe,
+        settings: SimulatorSettings,
+        steered_rad: float = 0.0,
+    ) -> None:
         self._geometry = geometry
         self._plan = plan
         self._settings = settings
         self._depth_mm = probe.depth_mm
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
-        self._rays = probe_rays(probe, settings, self._draws)
+        self._rays = probe_rays(probe, settings, self._draws, steered_rad)
         depths_mm = sample_depths_mm(probe, settings.axial_samples)
         self._largest_gain_db = float(time_gain_db(depths_mm, probe, settings.time_gain).max())
 

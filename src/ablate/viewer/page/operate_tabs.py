@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ablate.ultrasound import Display, Probe, SimulatorSettings
+from ablate.ultrasound import Display, PhasedProbe, Probe, SimulatorSettings
 from ablate.viewer.page.page import Bounds, Page
-from ablate.viewer.session import MOST_TURNED_DEG, Moving
+from ablate.viewer.session import MOST_TURNED_DEG, Moving, Quality, Views
+from ablate.viewer.words import DIM, line
 
 Change = Callable[..., object]
 _PLACE = "a plane ..."
@@ -33,6 +34,7 @@ _HINTS = (
     "R reset, 1 to 9 planes.</div>"
 )
 _TGC_SLIDERS = 5
+_ANGLES = (1, 3, 5, 7)
 
 
 def add_row(page: Page) -> None:
@@ -148,6 +150,8 @@ def add_scan_tab(page: Page) -> None:
     _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", probe, session.scan)
     _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", probe, session.scan)
     _add_slider(page, "Rays", (1, 64, 1), "rays", simulator, session.simulate)
+    if not isinstance(probe(), PhasedProbe):
+        _add_compounding(page)
     _add_slider(page, "Gain (dB)", (-30.0, 30.0, 1.0), "gain_db", display, show)
     page.add_slider("Dynamic range (dB)", (20.0, 100.0, 5.0), dynamic_range_db, set_dynamic_range)
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
@@ -157,3 +161,26 @@ def add_scan_tab(page: Page) -> None:
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda mode: session.show(moving=Moving(mode))))
     page.keep_equal(moving, lambda: str(session.state.moving))
+
+
+def _add_compounding(page: Page) -> None:
+    """Add a choice of how many steered sets of scanlines a frame is averaged of, and what each costs."""
+    session, gui = page.session, page.server.gui
+
+    def angles() -> int:
+        return session.state.simulator.compound_angles
+
+    offered = sorted({*_ANGLES, angles()})
+    hint = "steered directions that a frame at rest is averaged of; while the probe moves it is one"
+    chosen = gui.add_dropdown("Compounding", tuple(map(str, offered)), initial_value=str(angles()), hint=hint)
+    chosen.on_update(page.does(lambda count: session.simulate(compound_angles=int(count))))
+    page.keep_equal(chosen, lambda: str(angles()))
+    price = gui.add_html("")
+
+    def paint(views: Views) -> None:
+        if views.quality is Quality.full and "target" in views.ms:
+            ms_of_one = views.ms["target"] / views.state.simulator.compound_angles
+            words = (f"{count}: {'' if count == angles() else 'about '}{count * ms_of_one:.0f} ms" for count in offered)
+            price.content = line(" · ".join(words), DIM)
+
+    page.painters.append(paint)
