@@ -144,13 +144,18 @@ def check_values(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
     for one in _declared(cls):
         if one.name not in values:
             continue
-        checked[one.name] = value = values[one.name]
-        if value is not None or not one.optional:
-            try:
-                checked[one.name] = _checked(one, value)
-            except ValueError:
-                raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
+        checked[one.name] = checked_value(one, values[one.name])
     return checked
+
+
+def checked_value(one: Setting, value: Any) -> Any:
+    """The value of a setting as its type; a ValueError `name=value: allowed are ...` where it is not allowed."""
+    if value is None and one.optional:
+        return None
+    try:
+        return _checked(one, value)
+    except ValueError:
+        raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
 
 
 def _checked(one: Setting, value: Any) -> Any:

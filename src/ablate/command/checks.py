@@ -13,7 +13,7 @@ from ablate.dataset import label_values
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Family, Space, check_custom
 from ablate.setting import shown
-from ablate.settings.conf import components, variant_names
+from ablate.settings.conf import components, shown_file, variant_names
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
 from ablate.sources.source import source_of
 from ablate.study.job import Job
@@ -95,9 +95,7 @@ def _check_components(jobs: Sequence[Job]) -> None:
             meant = get_close_matches(component.metric, known, n=1)
             hint = f"did you mean {meant[0]}? " if meant else ""
             allowed = f"allowed are {', '.join(METRICS)}, and one of yours that metrics= names"
-            raise ConfigurationError(
-                f"conf/component/{component.name}.yaml: metric={component.metric}: {hint}{allowed}"
-            )
+            raise ConfigurationError(f"{shown_file(component.name)}: metric={component.metric}: {hint}{allowed}")
 
 
 def _check_metrics(s: StudySettings) -> None:

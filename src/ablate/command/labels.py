@@ -13,14 +13,13 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ablate.command.composed import CONFIG, composed, parsed, primary_name
 from ablate.setting import plain
-from ablate.settings.conf import CUSTOM, keys, variant_names
+from ablate.settings.conf import CUSTOM, OF_OWN_NETWORK, keys, variant_names
 from ablate.settings.study import StudySettings
 
 # Seeds and variants have places of their own.
 _IN_NO_LABEL = frozenset({"model.target", "seed", "training.seed"})
 _LIKE_A_COMPONENT = ("training.loss",)
 _SIZE = "model.width"  # of all networks of a study alike, unless it is swept
-_OF_OWN_NETWORK = "model.settings."  # its keys are those of the user's class
 _OF_SCORES = "evaluation."  # these settings decide scores, and no weights
 
 
@@ -63,7 +62,7 @@ def changed_keys(
     if primary != CONFIG and (groups_of_it := _groups(config, chosen, kept)):
         kept, primary = [*groups_of_it, *kept], CONFIG
         candidates |= {key for key in after if key in _wanted(named) and _decides(key)}
-        candidates |= {key for key in after if key.startswith(_OF_OWN_NETWORK)}
+        candidates |= {key for key in after if key.startswith(OF_OWN_NETWORK)}
     if candidates:
         before = _values(tuple(kept), primary)
         changed |= {key: after.get(key) for key in candidates if before.get(key) != after.get(key)}
@@ -74,7 +73,7 @@ def _names(override: Override, named: Collection[str]) -> set[str]:
     """The keys that a word changes and a label may name: one, or those of `model={depth:8,noise:input}`."""
     group, wanted = override.key_or_group, _wanted(named)
     deciding = {key for key in changes_of(override) if _decides(key)}
-    return {key for key in deciding if key in wanted or group in wanted or key.startswith(_OF_OWN_NETWORK)}
+    return {key for key in deciding if key in wanted or group in wanted or key.startswith(OF_OWN_NETWORK)}
 
 
 def changes_of(override: Override) -> set[str]:
@@ -115,7 +114,7 @@ def _groups(config: DictConfig, chosen: StudySettings, kept: Sequence[str]) -> l
 
 
 def _decides(key: str) -> bool:
-    return key in _deciding() or key.startswith(_OF_OWN_NETWORK)
+    return key in _deciding() or key.startswith(OF_OWN_NETWORK)
 
 
 @cache
@@ -160,5 +159,5 @@ def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
 
 def _name_of(key: str) -> str:
     """The last part of a key; of one of the user's network all that is the user's, as two groups may end alike."""
-    own = key.removeprefix(_OF_OWN_NETWORK)
+    own = key.removeprefix(OF_OWN_NETWORK)
     return key.rpartition(".")[2] if own == key else own.replace(".", "_")
