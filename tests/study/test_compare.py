@@ -393,7 +393,7 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, mo
     before = again()
     assert again() == before
     other_band = tuple(replace(component, band=1.0) for component in components())
-    for changed, to in (("reading.components", other_band), ("compare.package_digest", "x")):  # or other statistics
+    for changed, to in (("reading.components", other_band), ("compare.loaded_digest", "x")):  # or other statistics
         monkeypatch.setattr(f"ablate.study.{changed}", lambda to=to: to)
         later = again()
         assert later > before, changed

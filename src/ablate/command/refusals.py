@@ -33,7 +33,7 @@ def in_one_line(words: Sequence[str] = ()) -> Iterator[None]:
     except ConfigurationError as error:
         raise with_hint(error, words) from error
     except (HydraException, OmegaConfBaseException) as error:
-        raise with_hint(ConfigurationError(_explained(error, words)), words) from error
+        raise with_hint(ConfigurationError(_explained(error)), words) from error
     except (TypeError, ValueError, YAMLError, RecursionError, AttributeError) as error:
         # Hydra's own, where a file of conf/ is named by something that is no text, or cannot be read.
         known = "" if isinstance(error, YAMLError) else _of_a_group(words)  # a YAMLError names file and line
@@ -41,8 +41,13 @@ def in_one_line(words: Sequence[str] = ()) -> Iterator[None]:
 
 
 def with_hint(error: Exception, words: Sequence[str]) -> Exception:
-    """The refusal of a setting whose number was typed with a comma, with how it is typed; another error as it is."""
+    """The refusal of a setting, with how it is typed where another one was meant; another error as it is.
+
+    That is a number with a comma, and a setting of the user's network among those of the package.
+    """
     if isinstance(error, ConfigurationError):
+        if own := _of_own_network(str(error), words):
+            return ConfigurationError(f"{error}; {own}")
         for word in words:
             hint = with_a_point(word)
             if hint and hint not in str(error) and word.partition("=")[0] in str(error):
@@ -73,7 +78,7 @@ def _of_a_group(words: Sequence[str]) -> str:
     return ""
 
 
-def _explained(error: Exception, words: Sequence[str]) -> str:
+def _explained(error: Exception) -> str:
     """Hydra's message on one line, with what is allowed where a key or a choice is unknown."""
     for launcher, extra in _EXTRAS.items():
         if f"'hydra/launcher/{launcher}'" in str(error):
@@ -97,7 +102,7 @@ def _explained(error: Exception, words: Sequence[str]) -> str:
         text = f"{key}: {text}" if key and key not in text else text
     else:
         text = f"{text}: {_one_line(cause)}"
-    return _unknown_key(cause, text, words) or text.removeprefix("Error merging override ")
+    return _unknown_key(cause, text) or text.removeprefix("Error merging override ")
 
 
 def _of_another_type(cause: ValidationError, text: str) -> str:
@@ -112,23 +117,23 @@ def _of_another_type(cause: ValidationError, text: str) -> str:
     return f"{key}={value}: allowed are {keys()[key].allowed}{hint}"
 
 
-def _unknown_key(cause: BaseException, text: str, words: Sequence[str]) -> str:
-    """An unknown key with what may be meant; empty where the message is about something else."""
+def _unknown_key(cause: BaseException, text: str) -> str:
+    """An unknown key with the nearest known one; empty where the message is about something else."""
     key = str(getattr(cause, "full_key", None) or "")
     is_unknown = r"(?:Key|key) '([^']+)' (?:is not in struct|not in '\w+')"
     if not key or not re.search(is_unknown, f"{text} {_one_line(cause)}"):
         return ""
-    return unknown_key(key) + _of_own_network(key, words)
+    return unknown_key(key)
 
 
-def _of_own_network(key: str, words: Sequence[str]) -> str:
+def _of_own_network(refusal: str, words: Sequence[str]) -> str:
     """How an unknown key is typed as a setting of the user's network; empty where a command names none."""
-    group, _, name = key.rpartition(".")
     typed = dict(word.lstrip("+").partition("=")[::2] for word in words)
     names_one = "model.target" in typed or CUSTOM in typed.get("variant", "").split(",")
-    if not names_one or group not in ("", "model"):
+    unknown = re.match(r"unknown key '((?:model\.)?(\w+))'", refusal)
+    if not names_one or not unknown or "model.settings." in refusal:
         return ""
-    return f"; a setting of your own network is typed model.settings.{name}={typed.get(key, '...')}"
+    return f"a setting of your own network is typed model.settings.{unknown[2]}={typed.get(unknown[1], '...')}"
 
 
 def _one_line(error: BaseException) -> str:

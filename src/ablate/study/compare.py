@@ -20,9 +20,9 @@ from ablate.storage import digest, digest_of_files, held, known_json, write_json
 from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, with_earlier
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
-from ablate.study.provenance import package_digest
 from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON, Run, RunList, earlier_layout, write_list
+from ablate.study.source_code import loaded_digest
 from ablate.study.training import refuse_link
 
 
@@ -121,7 +121,7 @@ def _made_from(study: Study) -> dict[str, Any]:
         "times": digest_of_files([study.folder / TIMES]),
         "components": digest([repr(component) for component in study.results.components]),
         "metrics": titles,
-        "code": package_digest(),
+        "code": loaded_digest(),
         "study": study.folder.name,
         "reference": study.reference,
         "notes": list(study.usable.notes),
