@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from ablate.command.checks import check
 from ablate.command.compose import jobs_of
 from ablate.settings.conf import components, conf_folder, read_components_from
 from ablate.settings.study import ConfigurationError
@@ -104,6 +105,14 @@ def test_a_file_that_declares_no_component_is_refused(here: Path, case: str) -> 
         assert words in str(error.value)
         assert "\n" not in str(error.value)
     assert not (here / "runs").exists()
+
+
+def test_a_metric_of_ones_own_need_not_be_named_where_nothing_is_judged(here: Path) -> None:
+    write(here / "conf", FILE.replace("metric: crps", "metric: mine"))
+    (job,) = jobs_of(["preset=tiny", "task=simulate", "runs_dir=runs"])
+    check([job])
+    with pytest.raises(ConfigurationError, match=r"metric=mine: allowed are .*, and one of yours that metrics= names$"):
+        plan("runs_dir=runs")
 
 
 def test_a_file_with_the_name_of_a_shipped_one_takes_its_place_and_this_is_said(

@@ -21,6 +21,7 @@ from ablate.study.training import trainings_in
 from ablate.training import TrainingPrecision
 from ablate.training.settings import SMALLEST_CROP
 
+_JUDGING = (Task.study, Task.plan, Task.compare)
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 
 
@@ -42,7 +43,8 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             raise ConfigurationError(f"task={task}: pairs made elsewhere have no scene; {scenes}")
         _check_training(job, source.check(job.label), {other.label for other in jobs}, source.has_scene)
         _check_metrics(settings)
-    _check_components(jobs)
+    if task in _JUDGING:
+        _check_components(jobs)
     odd = set(str(results)) & {"?", "%"}  # they mean something else in the address of a database
     if odd:
         raise ConfigurationError(f"runs_dir={results}: allowed is a path without {' and '.join(sorted(odd))}")
