@@ -191,7 +191,9 @@ def test_an_opened_study_is_tables_and_says_nothing_of_what_a_network_of_the_use
     assert runs.loc[("sa2h", 0), "psnr"] == pytest.approx(frames.mean())
     again = opened.per_image.query(f"variant == '{RESIMULATION}' and metric == 'psnr'")["value"]
     assert opened.floor.loc["psnr", "mean"] == pytest.approx(again.mean())
-    assert set(opened.verdicts["component"]) == {"att", "conv"}, "no rows of components that the study does not have"
+    assert set(opened.verdicts["component"]) == {"att", "conv", "noise"}, (
+        "no rows of components that the study does not have"
+    )
     with pytest.raises(FileNotFoundError, match="There is no finished study at nowhere"):
         ablate.open_study("nowhere")
 

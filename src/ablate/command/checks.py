@@ -21,7 +21,7 @@ from ablate.study.training import trainings_in
 from ablate.training import TrainingPrecision
 from ablate.training.settings import SMALLEST_CROP
 
-_JUDGING = (Task.study, Task.plan, Task.compare)
+_JUDGING = (Task.study, Task.simulate, Task.plan, Task.compare)
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 
 

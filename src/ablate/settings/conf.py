@@ -153,7 +153,7 @@ def components() -> tuple[Component, ...]:
 
 def shown_file(component: str) -> str:
     """The file of a component as messages name it."""
-    return _shown(component_files()[component])
+    return _shown(component_files().get(component, conf_folder() / "component" / f"{component}.yaml"))
 
 
 def _shown(path: Path) -> str:
