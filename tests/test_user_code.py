@@ -1,5 +1,6 @@
 """Code of the user's own is known by its sources: all that a module imports of them, and nothing else."""
 
+import hashlib
 import importlib
 import sys
 from pathlib import Path
@@ -54,6 +55,46 @@ def test_installed_packages_and_modules_that_are_not_imported_do_not_enter(tmp_p
     before = digest(tmp_path / "a", imports)
     other = {"site-packages/installed.py": "VERSION = 2\n", "unused.py": "VERSION = 2\n"}
     assert digest(tmp_path / "b", imports | other) == before
+
+
+# Helpers beside a metric, by what the metric writes to get them; none of these modules of Python is loaded by a test.
+HELPERS = {
+    "wave.py": "import wave",
+    "colorsys.py": "from colorsys import SCALE",
+    "types_.py": "import types_",
+    "sndhdr/__init__.py": "import sndhdr",
+    "a_namespace/part/scale.py": "from a_namespace.part import scale",  # folders without __init__.py
+    "chunk.py": "def late():\n    import chunk",
+}
+
+
+@pytest.mark.parametrize("file", HELPERS)
+def test_a_helper_is_known_by_where_it_lies_and_not_by_its_name(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    top = file.partition("/")[0].removesuffix(".py")
+    digests = []
+    for content in ("SCALE = 1\n", "SCALE = 1\n", "SCALE = 2\n"):
+        folder = tmp_path / str(len(digests))
+        write(folder, {"a_metric.py": f"{HELPERS[file]}\ndef measure(): pass\n", file: content})
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(folder)
+            for name in [name for name in sys.modules if name.partition(".")[0] in ("a_metric", top)]:
+                patch.delitem(sys.modules, name)
+            digests.append(code_digest("a_metric.measure"))
+            for name in [name for name in sys.modules if name.partition(".")[0] in ("a_metric", top)]:
+                del sys.modules[name]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_what_python_brings_does_not_enter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`json` is loaded, so that a folder of that name is not what the import gives; nor is a module in C looked at."""
+    imports = "import json, array, os.path, zoneinfo, xml.dom.minidom, encodings.idna, sys\n"
+    names = ("of_python.py", "json/__init__.py")
+    write(tmp_path, {names[0]: f"{imports}def measure(): pass\n", names[1]: "SCALE = 1\n"})
+    monkeypatch.syspath_prepend(tmp_path)
+    only = hashlib.sha256(b"of_python" + hashlib.sha256((tmp_path / names[0]).read_bytes()).digest()).hexdigest()
+    assert code_digest("of_python.measure") == only
 
 
 def test_what_is_loaded_keeps_its_digest_while_edited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ Names and addresses, which several rooms share, have checks of their own.
 """
 
 import dataclasses
+import math
 import os
 import re
 import reprlib
@@ -60,7 +61,10 @@ class Declaration:
 
 def setting(default: Any, about: str = "", **declared: Any) -> Any:
     """A field of a settings dataclass; `declared` are the attributes of its `Declaration`."""
-    return field(default=default, metadata={_METADATA: Declaration(about, **declared)})
+    metadata = {_METADATA: Declaration(about, **declared)}
+    if isinstance(default, dict):
+        return field(default_factory=default.copy, hash=False, metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,8 @@ class Setting:
         elif kinds[0] in numbers:
             many = f"{len(kinds)} " if len(kinds) > 1 else ""
             words = f"{many}{numbers[kinds[0]]} {self.declared.range()}".rstrip()
+        elif get_origin(self.kind) is dict:
+            words = "names with numbers, text, true, false, null, or lists and mappings of them"
         else:
             words = {str: "text", bool: "true, false"}.get(self.kind, "")
         return f"{words}, or null" if self.optional else words
@@ -101,7 +107,8 @@ def settings_of(cls: type[Any]) -> tuple[Setting, ...]:
         if is_group(kind):
             continue
         declaration = one.metadata.get(_METADATA, Declaration())
-        declared.append(Setting(one.name, kind, optional, one.default, declaration))
+        default = one.default if one.default_factory is dataclasses.MISSING else one.default_factory()
+        declared.append(Setting(one.name, kind, optional, default, declaration))
     return tuple(declared)
 
 
@@ -137,13 +144,18 @@ def check_values(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
     for one in _declared(cls):
         if one.name not in values:
             continue
-        checked[one.name] = value = values[one.name]
-        if value is not None or not one.optional:
-            try:
-                checked[one.name] = _checked(one, value)
-            except ValueError:
-                raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
+        checked[one.name] = checked_value(one, values[one.name])
     return checked
+
+
+def checked_value(one: Setting, value: Any) -> Any:
+    """The value of a setting as its type; a ValueError `name=value: allowed are ...` where it is not allowed."""
+    if value is None and one.optional:
+        return None
+    try:
+        return _checked(one, value)
+    except ValueError:
+        raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
 
 
 def _checked(one: Setting, value: Any) -> Any:
@@ -152,6 +164,10 @@ def _checked(one: Setting, value: Any) -> Any:
         return one.kind(value)
     if one.declared.choices and value not in one.declared.choices:
         raise ValueError
+    if get_origin(one.kind) is dict:
+        if not isinstance(value, Mapping):
+            raise ValueError
+        return _as_stored(value)
     is_tuple = get_origin(one.kind) is tuple
     kinds, values = (get_args(one.kind), value) if is_tuple else ((one.kind,), (value,))
     if kinds[0] not in (int, float):
@@ -164,6 +180,19 @@ def _checked(one: Setting, value: Any) -> Any:
         raise ValueError
     numbers = tuple(kind(v) for v, kind in zip(values, kinds, strict=True))
     return numbers if is_tuple else numbers[0]
+
+
+def _as_stored(value: Any) -> Any:
+    """A free value as JSON gives it back, in containers of its own; a ValueError where JSON cannot hold it."""
+    if isinstance(value, Mapping) and all(isinstance(name, str) and name for name in value):
+        return {name: _as_stored(of_name) for name, of_name in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_stored(part) for part in value]
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int | float) and math.isfinite(value) and (isinstance(value, float) or abs(value) < 2**63):
+        return value
+    raise ValueError
 
 
 def _is_number(value: object, kind: type) -> bool:
@@ -190,9 +219,12 @@ def plain(value: Any) -> Any:
 
 
 def identity(values: object) -> dict[str, Any]:
-    """The settings of a dataclass that decide a result, as JSON can hold them; incidental ones are left out."""
+    """The settings of a dataclass that decide a result, as JSON can hold them.
+
+    Incidental ones are left out, and so is a mapping that is empty.
+    """
     deciding = {one.name for one in settings_of(values.__class__) if not one.declared.incidental}
-    return {name: value for name, value in plain(values).items() if name in deciding}
+    return {name: value for name, value in plain(values).items() if name in deciding and value != {}}
 
 
 def flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import sys
+import sysconfig
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
@@ -15,6 +16,7 @@ from typing import Any
 
 _PACKAGE = Path(__file__).parent
 _INSTALLED = {"site-packages", "dist-packages"}
+_OF_PYTHON = tuple({Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")})
 
 
 def load(path: str) -> Any:
@@ -92,9 +94,10 @@ def code_digest(path: str) -> str:
     """Compute the SHA-256 of the source code behind a dotted path, hexadecimal.
 
     The code is that of the module that holds the name, and of every module of the user's own that it imports, directly
-    or through others. A module is the user's own if its file lies neither in the standard library, nor among the
-    installed packages (`site-packages`, `dist-packages`), nor in `ablate`. Names of modules and contents of files enter
-    the digest, folders do not. An import whose name is computed when the program runs is not followed.
+    or through others. A module is the user's own, whatever it is called, if its file lies neither in the standard
+    library, nor among the installed packages (`site-packages`, `dist-packages`), nor in `ablate`. Names of modules and
+    contents of files enter the digest, folders do not. An import whose name is computed when the program runs is not
+    followed.
 
     All files of the user's folder would be a shorter rule, but then whoever edits a script beside a network could no
     longer read what he has trained.
@@ -161,8 +164,6 @@ def _imports(name: str, file: Path) -> set[str]:
 def _own_file(name: str) -> Path | None:
     """File of a module of the user's own; None for other modules, and for a name that is no module."""
     top = name.partition(".")[0]
-    if top in sys.stdlib_module_names:
-        return None
     try:
         if _is_installed(find_spec(top)):  # what others made is not imported to find its parts
             return None
@@ -175,8 +176,8 @@ def _own_file(name: str) -> Path | None:
 
 
 def _is_installed(spec: ModuleSpec | None) -> bool:
-    """Whether a module's file lies among the installed packages or in this one."""
+    """Whether a module's file lies among the installed packages, in the standard library or in this package."""
     if spec is None or not spec.origin:
         return False
     file = Path(spec.origin)
-    return bool(_INSTALLED & set(file.parts)) or file.is_relative_to(_PACKAGE)
+    return bool(_INSTALLED & set(file.parts)) or any(map(file.is_relative_to, (_PACKAGE, *_OF_PYTHON)))

@@ -42,6 +42,7 @@ REFUSED = [
     (["-m", "training.beta1=0,9"], "type training.beta1=0.9"),
     (["-m", "training.steps=1,000"], "type training.steps=1000"),
     (["-m", "hydra/sweeper=optuna"], "pip install hydra-optuna-sweeper"),
+    (["-m", "hydra/sweeper=optuna", "hydra.sweeper.n_trials=2", "seed=range(0,3)"], "pip install hydra-optuna-sweeper"),
     (["scene.folder=/x", "task=plan"], "scene.folder='/x': the built-in anatomy has no folder; add scene=folder"),
     (["-m", "scene.folder=/x,/y"], "scene.folder='/x': the built-in anatomy has no folder"),
     (["study_name=a:b"], "not ':'"),

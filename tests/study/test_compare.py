@@ -13,7 +13,7 @@ import ablate
 from ablate.analysis import RESIMULATION, find_design
 from ablate.evaluation import Scores
 from ablate.metrics import metric_of
-from ablate.settings.conf import components
+from ablate.settings.conf import components, read_components_from
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, read_json, write_json
 from ablate.study.comparable import comparable_runs, levels_of, with_earlier
@@ -191,7 +191,9 @@ def test_an_opened_study_is_tables_and_says_nothing_of_what_a_network_of_the_use
     assert runs.loc[("sa2h", 0), "psnr"] == pytest.approx(frames.mean())
     again = opened.per_image.query(f"variant == '{RESIMULATION}' and metric == 'psnr'")["value"]
     assert opened.floor.loc["psnr", "mean"] == pytest.approx(again.mean())
-    assert set(opened.verdicts["component"]) == {component.name for component in components()}
+    assert set(opened.verdicts["component"]) == {"att", "conv", "noise"}, (
+        "no rows of components that the study does not have"
+    )
     with pytest.raises(FileNotFoundError, match="There is no finished study at nowhere"):
         ablate.open_study("nowhere")
 
@@ -393,8 +395,8 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, mo
     before = again()
     assert again() == before
     other_band = tuple(replace(component, band=1.0) for component in components())
-    for changed, to in (("components", other_band), ("package_digest", "x")):  # another band, or other statistics
-        monkeypatch.setattr(f"ablate.study.compare.{changed}", lambda to=to: to)
+    for changed, to in (("reading.components", other_band), ("compare.loaded_digest", "x")):  # or other statistics
+        monkeypatch.setattr(f"ablate.study.{changed}", lambda to=to: to)
         later = again()
         assert later > before, changed
         before = later
@@ -409,6 +411,35 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, mo
     (study / "comparison" / "report.html").unlink()
     again()
     assert (study / "comparison" / "report.html").exists()
+
+
+def test_a_band_that_is_edited_while_a_study_is_compared_counts_for_the_next_command(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whenever it is edited: before the comparison of this process, or between its verdicts and its last file."""
+    file = tmp_path / "component" / "att.yaml"
+    file.parent.mkdir()
+
+    def declare(band: float, *_: object) -> list[object]:
+        lines = f"key: model.attenuation\non: integral\noff: none\nmetric: shadow_contrast\nband: {band}\n"
+        file.write_text(lines)
+        return []  # as draw_figures
+
+    def band() -> float:
+        compare_study(read_list(study), "a study", time_here=False)
+        return pd.read_csv(study / "comparison" / "verdicts.csv").set_index("component").loc["att", "band"]
+
+    declare(2.5)
+    read_components_from([tmp_path])
+    try:
+        assert {one.name: one.band for one in components()}["att"] == 2.5
+        declare(1.5)
+        monkeypatch.setattr("ablate.study.compare.draw_figures", lambda *_: declare(0.5))
+        assert band() == 1.5
+        monkeypatch.setattr("ablate.study.compare.draw_figures", lambda *_: [])
+        assert band() == 0.5
+    finally:
+        read_components_from([])
 
 
 def test_a_terminal_shows_the_table_what_is_to_be_known_and_three_lines(

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +12,7 @@ from ablate.command.compose import jobs_of
 from ablate.settings.study import ConfigurationError
 from ablate.storage import read_json
 from ablate.study.work import do
+from ablate.tasks.entry import execute
 from ablate.training import load_generator
 from support.studies import run
 
@@ -78,3 +80,80 @@ def test_a_class_that_does_not_work_is_refused_before_anything_starts(
     with pytest.raises(ConfigurationError, match="target=None with family=custom"):
         run("preset=tiny", "variant=custom", f"runs_dir={runs}")
     assert not list(runs.rglob("*.json"))
+
+
+SIZED = """
+from torch import nn
+
+class Sized(nn.Sequential):
+    def __init__(self, channels, hidden: int = 8, block=None):
+        super().__init__(nn.Conv2d(channels, hidden, 3, padding=1), nn.Conv2d(hidden, 1, 1), nn.Tanh())
+"""
+OWN = ["preset=tiny", "variant=custom", "model.target=sized_network.Sized"]
+
+
+@pytest.fixture
+def sized(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "sized_network.py").write_text(SIZED)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "sized_network", raising=False)
+    return tmp_path
+
+
+def test_its_settings_are_part_of_the_training_and_of_its_checkpoint(sized: Path) -> None:
+    sizes = ["simulator.image_shape=[96,134]", "dataset.frames=10", "metrics=[psnr,mae]", "training.steps=2"]
+    words = [*OWN, *sizes, f"runs_dir={sized / 'runs'}"]
+    assert run(*words, "model.settings.hidden=5") == 0
+    (folder,) = (sized / "runs/tiny-fetal").glob("Sized.hidden-5-seed0-*")
+    assert read_json(folder / "trained.json")["scalars"]["parameters_generator"] == 4 * 5 * 9 + 5 + 5 + 1
+    loaded = load_generator(folder / "last.ckpt", custom="sized_network.Sized")
+    assert loaded.spec.settings == {"hidden": 5}
+    (again,) = jobs_of([*words, "model.settings={hidden:5}"])
+    assert again.finished
+    (usual,) = jobs_of(words)
+    assert not usual.finished
+    assert "settings" not in usual.identity["model"], "trainings without settings keep their hash"
+
+
+@pytest.mark.parametrize(
+    ("swept", "labels"),
+    [
+        (["model.settings.hidden=16,32"], ["Sized.hidden-16", "Sized.hidden-32"]),
+        (["model.settings={hidden:16},{hidden:32}"], ["Sized.hidden-16", "Sized.hidden-32"]),
+        (["model={settings:{hidden:16}},{noise:input}"], ["Sized.hidden-16", "Sized.noise-input"]),
+        (
+            ["model.settings.block.a.size=1,2", "+model.settings.block.b.size=1,2"],
+            [f"Sized.block_a_size-{a}.block_b_size-{b}" for a in (1, 2) for b in (1, 2)],
+        ),
+    ],
+)
+@pytest.mark.usefixtures("sized")
+def test_its_settings_are_swept_like_any_key(swept: Sequence[str], labels: Sequence[str]) -> None:
+    jobs = jobs_of(["-m", *OWN, *swept])
+    assert [job.label for job in jobs] == labels
+    assert len({job.hash for job in jobs}) == len(jobs)
+
+
+SLIPS = {
+    "model.settings.hiden=3": "model.settings.hiden=3: did you mean settings.hidden? sized_network.Sized takes",
+    "model.settings.hidden=wide": "model.settings.hidden='wide': sized_network.Sized takes a whole number as hidden",
+    "model.settings=3": "model.settings=3: allowed are names with numbers, text",
+    "model.hidden=32": "a setting of your own network is typed model.settings.hidden=32",
+    "+model.hidden=32": "a setting of your own network is typed model.settings.hidden=32",
+    "hidden=32": "a setting of your own network is typed model.settings.hidden=32",
+}
+
+
+@pytest.mark.parametrize("word", SLIPS)
+def test_a_setting_that_it_does_not_take_is_refused_before_anything_runs(sized: Path, word: str) -> None:
+    for task in ("plan", "study"):
+        with pytest.raises(ConfigurationError) as error:
+            execute([*OWN, word, f"task={task}", f"runs_dir={sized / 'runs'}"])
+        assert SLIPS[word] in str(error.value)
+        assert "\n" not in str(error.value)
+    assert not (sized / "runs").exists()
+
+
+def test_a_network_of_the_package_refuses_settings() -> None:
+    with pytest.raises(ConfigurationError, match=r"^model\.settings\.hidden=3 with family=local: .*variant=custom"):
+        jobs_of(["preset=tiny", "model.settings.hidden=3"])

@@ -14,7 +14,8 @@ import torch
 from ablate.command.compose import jobs_of
 from ablate.study import provenance
 from ablate.study.job import Job, claim
-from ablate.study.provenance import write_provenance
+from ablate.study.provenance import end_provenance, write_provenance
+from ablate.study.source_code import package_digest
 from ablate.study.training import Training
 from ablate.study.work import _logged
 from support.finished_runs import WHOLE
@@ -95,13 +96,56 @@ def test_changed_code_is_told_where_the_package_lies_in_no_repository(
     package = tmp_path / "site-packages" / "ablate"
     (package / "training").mkdir(parents=True)
     monkeypatch.setattr(provenance, "git_state", lambda: {})
-    monkeypatch.setattr(provenance, "package_digest", partial(provenance.package_digest, package))
+    for name in ("loaded_digest", "package_digest"):  # of processes that have just begun
+        monkeypatch.setattr(provenance, name, partial(package_digest, package))
     for line in ("LOSS = 1\n", "LOSS = 1\n", "LOSS = 2\n"):
         assert not caplog.messages
         (package / "training" / "module.py").write_text(line)
         start(job)
         stopped_at(job, 40)
     assert "step 40: training goes on with other code or hardware (source " in caplog.text
+
+
+@pytest.mark.parametrize("at_start", [True, False], ids=["before it began", "as it trained"])
+def test_files_that_change_under_a_process_are_not_what_it_trained_by(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, at_start: bool
+) -> None:
+    code(monkeypatch, "aaa")
+    assert job.source == package_digest(), "nobody edits this checkout now"
+    files = {False: job.source, True: "later"}
+    monkeypatch.setattr(provenance, "package_digest", lambda: files[at_start])
+    start(job)
+    monkeypatch.setattr(provenance, "package_digest", lambda: "later")
+    (note,) = end_provenance(Training(job.folder))
+    (start_,) = stored(job, "starts.json")["starts"]
+    assert (start_["source"], start_["source_at_end"]) == (job.source, "later")
+    assert ("source_at_start" in start_, "git_commit" in start_) == (at_start, not at_start), "no commit of other files"
+    assert note.startswith(f"It was trained by source {job.source} of ablate")
+    assert [m for m in caplog.messages if "the code of ablate changes" in m] == [
+        f"the code of ablate changes while the command runs: the files are of source later now, "
+        f"and this job runs by {job.source}"
+    ]
+
+
+def test_a_process_that_loads_other_files_than_its_command_says_so(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    code(monkeypatch, "bbb")
+    for name in ("loaded_digest", "package_digest"):
+        monkeypatch.setattr(provenance, name, lambda: "later")
+    start(job)
+    (start_,) = stored(job, "starts.json")["starts"]
+    assert (start_["source"], start_["source_of_command"], start_["git_commit"]) == ("later", job.source, "bbb")
+    assert f"this job runs by source later, and its command began with {job.source}" in caplog.text
+    (note,) = end_provenance(Training(job.folder))
+    assert f"(later, {job.source})" in note
+
+
+def test_nothing_is_said_of_files_that_stay(job: Job, caplog: pytest.LogCaptureFixture) -> None:
+    start(job)
+    assert end_provenance(Training(job.folder)) == []
+    assert not caplog.messages
+    assert "source_at_end" not in stored(job, "starts.json")["starts"][0]
 
 
 def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ablate.study.provenance import git_state, package_digest, packages
+from ablate.study.provenance import git_state, packages
+from ablate.study.source_code import loaded_digest, package_digest, said_of_change
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -75,3 +76,24 @@ def test_the_digest_of_the_source_knows_tables_and_templates(tmp_path: Path, nam
     before = package_digest(tmp_path)
     changed.write_text("2")
     assert package_digest(tmp_path) != before
+
+
+def test_the_code_that_is_loaded_is_that_of_the_files_when_the_process_began() -> None:
+    assert loaded_digest() == package_digest()
+
+
+@pytest.mark.parametrize(
+    ("began", "loaded", "now", "words"),
+    [
+        ("a", "a", "a", ""),
+        ("a", "b", "b", "runs by source b, and its command began with a"),
+        ("a", "a", "b", "the files are of source b now, and this job runs by a"),
+        ("a", "b", "c", "began with a; the files are of source c now, and this job runs by b"),
+        ("a", "b", "a", "began with a; the files are of source a now"),
+    ],
+)
+def test_a_change_of_the_code_is_one_line(began: str, loaded: str, now: str, words: str) -> None:
+    said = said_of_change(began, loaded, now)
+    assert words in said
+    assert bool(said) == bool(words)
+    assert "\n" not in said

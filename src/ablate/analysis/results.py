@@ -1,6 +1,6 @@
 """What a study came to, as one value: the tables and pictures that its figures and its report are made from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -37,7 +37,9 @@ class StudyResults:
     means : DataFrame, optional
         What `run_means` gives of the runs of the design.
     components : sequence of Component
-        What is judged.
+        What can be judged.
+    varied : collection of str, optional
+        The dotted keys in which runs differ: verdicts are of components of these. Without it they are of all.
     spreads : mapping of str to float
         By cost, the spread of its measurement, as for `verdict_table`.
     pictures : sequence of FramePictures
@@ -53,6 +55,7 @@ class StudyResults:
     design: Design | None = None
     means: pd.DataFrame = field(default_factory=pd.DataFrame)
     components: Sequence[Component] = ()
+    varied: Collection[str] | None = None
     spreads: Mapping[str, float] = field(default_factory=dict)
     pictures: Sequence[FramePictures] = ()
     machine: str = ""
@@ -89,5 +92,6 @@ class StudyResults:
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
-        """What is known of every component; see `verdict_table`."""
-        return verdict_table(self.means, self.design, self.components, self.spreads)
+        """What is known of every component in which runs differ; see `verdict_table`."""
+        judged = [c for c in self.components if self.varied is None or c.key in self.varied]
+        return verdict_table(self.means, self.design, judged, self.spreads)

@@ -13,7 +13,7 @@ from ablate.dataset import label_values
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Family, Space, check_custom
 from ablate.setting import shown
-from ablate.settings.conf import components, variant_names
+from ablate.settings.conf import components, shown_file, variant_names
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
 from ablate.sources.source import source_of
 from ablate.study.job import Job
@@ -21,6 +21,7 @@ from ablate.study.training import trainings_in
 from ablate.training import TrainingPrecision
 from ablate.training.settings import SMALLEST_CROP
 
+_JUDGING = (Task.study, Task.simulate, Task.plan, Task.compare)
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 
 
@@ -42,7 +43,8 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             raise ConfigurationError(f"task={task}: pairs made elsewhere have no scene; {scenes}")
         _check_training(job, source.check(job.label), {other.label for other in jobs}, source.has_scene)
         _check_metrics(settings)
-    _check_components(jobs)
+    if task in _JUDGING:
+        _check_components(jobs)
     odd = set(str(results)) & {"?", "%"}  # they mean something else in the address of a database
     if odd:
         raise ConfigurationError(f"runs_dir={results}: allowed is a path without {' and '.join(sorted(odd))}")
@@ -95,9 +97,7 @@ def _check_components(jobs: Sequence[Job]) -> None:
             meant = get_close_matches(component.metric, known, n=1)
             hint = f"did you mean {meant[0]}? " if meant else ""
             allowed = f"allowed are {', '.join(METRICS)}, and one of yours that metrics= names"
-            raise ConfigurationError(
-                f"conf/component/{component.name}.yaml: metric={component.metric}: {hint}{allowed}"
-            )
+            raise ConfigurationError(f"{shown_file(component.name)}: metric={component.metric}: {hint}{allowed}")
 
 
 def _check_metrics(s: StudySettings) -> None:

@@ -8,7 +8,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override, ValueType
 from omegaconf import DictConfig, OmegaConf
 
-from ablate.command.composed import CONFIG, composed, parsed
+from ablate.command.composed import CONFIG, composed, parsed, read_own_components
 from ablate.command.labels import changed_keys, changes_of, label_of
 from ablate.command.refusals import in_one_line
 from ablate.command.schema import settings
@@ -42,6 +42,7 @@ def job_of(
     if own.job.chdir:
         allowed = "allowed is false, as paths begin where the command is typed and results lie in runs_dir"
         raise ConfigurationError(f"hydra.job.chdir=true: {allowed}")
+    read_own_components(own)
     with in_one_line():
         chosen = settings(config)
         named = {*swept, *(component.key for component in components())}

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -12,7 +14,7 @@ from omegaconf import DictConfig
 
 from ablate.command.refusals import in_one_line
 from ablate.command.schema import register
-from ablate.settings.conf import conf_folder
+from ablate.settings.conf import conf_folder, read_components_from
 
 CONFIG = "config"
 VERSION_BASE = "1.3"
@@ -40,3 +42,10 @@ def primary_name() -> str:
 def parsed(words: Sequence[str]) -> list[Override]:
     """Words `key=value`, read by Hydra's grammar."""
     return OverridesParser.create().parse_overrides(list(words))
+
+
+def read_own_components(hydra_node: Any) -> None:
+    """Read components also where Hydra looks for the user's files, as `--config-dir`, and in conf/ of this folder."""
+    runtime = hydra_node.runtime
+    places = [source.path for source in runtime.config_sources if source.schema == "file"]
+    read_components_from([*map(Path, places), Path(runtime.cwd) / "conf"])

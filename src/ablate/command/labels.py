@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ablate.command.composed import CONFIG, composed, parsed, primary_name
 from ablate.setting import plain
-from ablate.settings.conf import CUSTOM, keys, variant_names
+from ablate.settings.conf import CUSTOM, OF_OWN_NETWORK, keys, variant_names
 from ablate.settings.study import StudySettings
 
 # Seeds and variants have places of their own.
@@ -61,23 +61,33 @@ def changed_keys(
     primary = primary_name()
     if primary != CONFIG and (groups_of_it := _groups(config, chosen, kept)):
         kept, primary = [*groups_of_it, *kept], CONFIG
-        candidates |= {key for key in after if key in _wanted(named) & _deciding()}
+        candidates |= {key for key in after if key in _wanted(named) and _decides(key)}
+        candidates |= {key for key in after if key.startswith(OF_OWN_NETWORK)}
     if candidates:
         before = _values(tuple(kept), primary)
-        changed |= {key: after[key] for key in candidates if before.get(key) != after.get(key)}
+        changed |= {key: after.get(key) for key in candidates if before.get(key) != after.get(key)}
     return changed
 
 
 def _names(override: Override, named: Collection[str]) -> set[str]:
     """The keys that a word changes and a label may name: one, or those of `model={depth:8,noise:input}`."""
     group, wanted = override.key_or_group, _wanted(named)
-    return {key for key in changes_of(override) & _deciding() if key in wanted or group in wanted}
+    deciding = {key for key in changes_of(override) if _decides(key)}
+    return {key for key in deciding if key in wanted or group in wanted or key.startswith(OF_OWN_NETWORK)}
 
 
 def changes_of(override: Override) -> set[str]:
     """The keys that a word with one value sets."""
-    group, value = override.key_or_group, override.value()
-    return {f"{group}.{name}" for name in value} if isinstance(value, dict) else {group}
+    return set(_ends(override.key_or_group, override.value()))
+
+
+def _ends(key: str, value: object) -> Iterator[str]:
+    """The dotted keys below a key; a group that is empty changes none."""
+    if not isinstance(value, dict):
+        yield key
+        return
+    for name, of_name in value.items():
+        yield from _ends(f"{key}.{name}", of_name)
 
 
 def _wanted(named: Collection[str]) -> set[str]:
@@ -101,6 +111,10 @@ def _groups(config: DictConfig, chosen: StudySettings, kept: Sequence[str]) -> l
     typed = {override.key_or_group for override in parsed(kept)}
     usual = ("preset", "probe", "scene", "variant")
     return [f"{'' if g in usual else '+'}{g}={c}" for g, c in choices.items() if c is not None and g not in typed]
+
+
+def _decides(key: str) -> bool:
+    return key in _deciding() or key.startswith(OF_OWN_NETWORK)
 
 
 @cache
@@ -139,5 +153,11 @@ def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
     variant = settings.variant
     if variant == CUSTOM:
         variant = str(settings.model.target).rpartition(".")[2]
-    named = sorted(f"{key.rpartition('.')[2]}-{value}" for key, value in changed.items())
+    named = sorted(f"{_name_of(key)}-{value}" for key, value in changed.items())
     return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
+
+
+def _name_of(key: str) -> str:
+    """The last part of a key; of one of the user's network all that is the user's, as two groups may end alike."""
+    own = key.removeprefix(OF_OWN_NETWORK)
+    return key.rpartition(".")[2] if own == key else own.replace(".", "_")

@@ -19,6 +19,7 @@ from hydra.core.utils import run_job, setup_globals
 from hydra.types import HydraContext
 from omegaconf import DictConfig, open_dict
 
+from ablate.command.composed import read_own_components
 from ablate.command.schema import register
 from ablate.dataset.processes import allotted_cores, work_for_parent
 from ablate.settings.study import ConfigurationError
@@ -135,6 +136,7 @@ def run_in_process(
     with open_dict(own):
         own.hydra.job.id, own.hydra.job.num = f"{own.hydra.job.name}_{number}", number
     HydraConfig.instance().set_config(own)
+    read_own_components(own.hydra)
     run_job(lambda _: told(work, job), own, "hydra.sweep.dir", "hydra.sweep.subdir", context)
 
 

@@ -11,7 +11,7 @@ from yaml import YAMLError
 from ablate.command.words import with_a_point
 from ablate.extras import installing
 from ablate.setting import shown
-from ablate.settings.conf import conf_folder, keys, unknown_key
+from ablate.settings.conf import CUSTOM, conf_folder, keys, unknown_key
 from ablate.settings.study import ConfigurationError
 
 # Launchers that Hydra knows where an extra is installed.
@@ -41,8 +41,13 @@ def in_one_line(words: Sequence[str] = ()) -> Iterator[None]:
 
 
 def with_hint(error: Exception, words: Sequence[str]) -> Exception:
-    """The refusal of a setting whose number was typed with a comma, with how it is typed; another error as it is."""
+    """The refusal of a setting, with how it is typed where another one was meant; another error as it is.
+
+    That is a number with a comma, and a setting of the user's network among those of the package.
+    """
     if isinstance(error, ConfigurationError):
+        if own := _of_own_network(str(error), words):
+            return ConfigurationError(f"{error}; {own}")
         for word in words:
             hint = with_a_point(word)
             if hint and hint not in str(error) and word.partition("=")[0] in str(error):
@@ -119,6 +124,16 @@ def _unknown_key(cause: BaseException, text: str) -> str:
     if not key or not re.search(is_unknown, f"{text} {_one_line(cause)}"):
         return ""
     return unknown_key(key)
+
+
+def _of_own_network(refusal: str, words: Sequence[str]) -> str:
+    """How an unknown key is typed as a setting of the user's network; empty where a command names none."""
+    typed = dict(word.lstrip("+").partition("=")[::2] for word in words)
+    names_one = "model.target" in typed or CUSTOM in typed.get("variant", "").split(",")
+    unknown = re.match(r"unknown key '((?:model\.)?(\w+))'", refusal)
+    if not names_one or not unknown or "model.settings." in refusal:
+        return ""
+    return f"a setting of your own network is typed model.settings.{unknown[2]}={typed.get(unknown[1], '...')}"
 
 
 def _one_line(error: BaseException) -> str:

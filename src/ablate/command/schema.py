@@ -20,7 +20,9 @@ from ablate.ultrasound.settings import PROBE_KEYS, Probe, ProbeKind
 def register() -> None:
     """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml, and conf/'s resolvers."""
     register_resolvers()
-    ConfigStore.instance().store(name="schema", node=_STUDY)
+    node = OmegaConf.structured(_STUDY)
+    OmegaConf.set_struct(node.model.settings, False)  # its keys are those of the user's network
+    ConfigStore.instance().store(name="schema", node=node)
 
 
 def _schema(cls: type) -> type:
@@ -37,7 +39,8 @@ def _schema(cls: type) -> type:
         elif is_group(hint):
             fields.append((one.name, group := _schema(hint), field(default_factory=group)))
         else:
-            default = list(one.default) if isinstance(one.default, tuple) else one.default
+            default = one.default if one.default_factory is dataclasses.MISSING else one.default_factory()
+            default = list(default) if isinstance(default, tuple) else default
             fields.append((one.name, hint, field(default_factory=partial(copy, default))))
     return _made(cls.__name__, fields)
 

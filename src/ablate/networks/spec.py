@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 from ablate.setting import Checked, setting
 
@@ -142,6 +143,9 @@ class GeneratorSpec(Checked):
     target: str | None = setting(
         None, "With `family=custom`, the dotted path of the network's class, as `my_package.MyGenerator`."
     )
+    settings: dict[str, Any] = setting(
+        {}, "With `family=custom`, what the class is made with besides its channels, as `model.settings.hidden=32`."
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -156,6 +160,10 @@ class GeneratorSpec(Checked):
         if (self.family is Family.custom) != (self.target is not None):
             allowed = "the path of a class, as my_package.MyGenerator" if self.family is Family.custom else "null"
             raise ValueError(f"target={self.target} with family={self.family}: allowed is {allowed}")
+        if self.settings and self.family is not Family.custom:
+            name, value = next(iter(self.settings.items()))
+            own = "it has no settings of its own, as a network of yours may have (variant=custom)"
+            raise ValueError(f"settings.{name}={value} with family={self.family}: {own}")
         if self.noise is Noise.input and self.extra_input is ExtraInput.noise:
             raise ValueError("extra_input=noise with noise=input: allowed is one noise channel, drop either")
         if self.noise is Noise.body and self.space is not Space.beam:

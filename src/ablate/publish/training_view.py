@@ -17,7 +17,7 @@ from ablate.networks.spec import GeneratorSpec
 from ablate.publish.results_view import NOTE, publish_results
 from ablate.publish.store import Store, plain_files
 from ablate.setting import flat
-from ablate.settings.conf import build, components, components_of_networks, named_components
+from ablate.settings.conf import OF_OWN_NETWORK, build, components, components_of_networks, named_components
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
 from ablate.storage import check_unpacked, digest
@@ -167,7 +167,7 @@ def _sorted_by(training: Training, has_scene: bool) -> dict[str, Any]:
     settings = dict(flat(training.about["settings"]))
     others = {c.key for c in components()} - {c.key for c in components_of_networks().values()}
     changed = {key for key in training.changed if not key.startswith("model.")}
-    keys = others | set(_SORTED_BY) | changed
+    keys = others | set(_SORTED_BY) | changed | {key for key in settings if key.startswith(OF_OWN_NETWORK)}
     if not has_scene:  # pairs were not simulated
         keys = {key for key in keys if not key.startswith("simulator.")}
     values = {key: settings[key] for key in sorted(keys) if settings.get(key) is not None}

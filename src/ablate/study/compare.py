@@ -15,15 +15,14 @@ from ablate.analysis.leaderboard import SCREEN_COLUMNS
 from ablate.analysis.tables import head
 from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
-from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, digest_of_files, held, known_json, write_json
 from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, with_earlier
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
-from ablate.study.provenance import package_digest
 from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON, Run, RunList, earlier_layout, write_list
+from ablate.study.source_code import loaded_digest
 from ablate.study.training import refuse_link
 
 
@@ -112,17 +111,17 @@ def on_screen(compared: Compared, look: str) -> str:
 def _made_from(study: Study) -> dict[str, Any]:
     """What decides a comparison: the files of its runs and of times, the reference, what was left aside, bands, code.
 
-    A run that was deleted and trained again has the same configuration and other files. Bands are those that this
-    process judges by: a file of conf/component that was edited meanwhile counts for the next command.
+    A run that was deleted and trained again has the same configuration and other files. Bands are those that it is
+    judged by, whatever their files say meanwhile: the next command that reads others compares anew.
     """
     runs = {f"{run.name} of {run.data}": run.training.compared_state(run.score_names) for run in study.usable.all}
     titles = [head(metric) for metric in sorted(set(study.table["metric"]))]  # as far as this command knows
     return {
         "runs": runs,
         "times": digest_of_files([study.folder / TIMES]),
-        "components": digest([repr(component) for component in components()]),
+        "components": digest([repr(component) for component in study.results.components]),
         "metrics": titles,
-        "code": package_digest(),
+        "code": loaded_digest(),
         "study": study.folder.name,
         "reference": study.reference,
         "notes": list(study.usable.notes),

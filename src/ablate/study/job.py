@@ -12,6 +12,7 @@ from ablate.dataset.encoding import Encoding
 from ablate.setting import check_name, identity, plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
+from ablate.study.source_code import loaded_digest
 from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
 from ablate.user_code import code_digest
 
@@ -35,6 +36,7 @@ class Job:
     label: str  # the variant and what else was changed beside it, such as `sa2h.depth-8`
     changed: tuple[tuple[str, Any], ...] = field(default=(), compare=False)  # dotted keys beside the variant, values
     words: tuple[str, ...] = field(default=(), compare=False)  # after `python -m ablate`, that stand for it alone
+    source: str = field(default_factory=loaded_digest, compare=False)  # the package's code where it was composed
 
     def __post_init__(self) -> None:
         check_name("variant", self.label)

@@ -1,6 +1,7 @@
 """What a training was made with: settings, code, environment, hardware.
 
-It is written at each start, as a training that was stopped may go on with other code.
+It is written at each start, as a training that was stopped may go on with other code, and looked at again at the end:
+files may change while it trains.
 """
 
 import logging
@@ -19,25 +20,24 @@ from typing import Any
 
 import torch
 
-import ablate
 from ablate.setting import plain
 from ablate.settings.study import Provenance
-from ablate.storage import digest, digest_of_files, write_json, write_text
+from ablate.storage import digest, write_json, write_text
 from ablate.study.job import Job, precision_of
+from ablate.study.source_code import PACKAGE, loaded_digest, package_digest, said_of_change
 from ablate.study.training import Training
 from ablate.training import chosen_device, read_checkpoint
 
 _LOG = logging.getLogger(__name__)
 #: What is told of the code and the machine of a training.
 ABOUT_CODE = ("git_commit", "git_dirty", "hardware", "threads")
-_OF_ONE_START = ("time", "command", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
+_OF_SOURCE = ("source", "source_of_command", "source_at_start", "source_at_end")
+_OF_ONE_START = ("time", "command", "step", "device", "precision", "git_diff", *_OF_SOURCE)  # not in `made_with.json`
 
-_PACKAGE = Path(ablate.__file__).parent
 _DISTRIBUTION = "ablate-ultrasound"  # what an installer calls this package
-_SOURCES = (".py", ".csv", ".jinja", ".mplstyle")
 
 
-def git_state(package: Path = _PACKAGE) -> dict[str, str]:
+def git_state(package: Path = PACKAGE) -> dict[str, str]:
     """Commit, dirty flag and uncommitted diff of the repository that holds the source of this package.
 
     Empty where the package is not loaded from its own repository: a package that is installed in an environment inside
@@ -61,11 +61,6 @@ def git_state(package: Path = _PACKAGE) -> dict[str, str]:
     except (OSError, ValueError, KeyError, subprocess.CalledProcessError):
         return {}
     return {"git_commit": commit, "git_dirty": str(bool(diff or untracked)).lower(), "git_diff": diff}
-
-
-def package_digest(package: Path = _PACKAGE) -> str:
-    """Digest of the names and contents of the package's code, tables and templates, which may lie in no repository."""
-    return digest_of_files(sorted(path for path in package.rglob("*") if path.suffix in _SOURCES))
 
 
 def environment() -> str:
@@ -101,7 +96,8 @@ def write_provenance(job: Job, training: Training) -> None:
 
     `starts.json` lists all starts, each with the step that it begins at. `made_with.json` has the values of all, in
     their order. `uncommitted.diff` is the newest; others have their digest in their names. If an unfinished training
-    goes on with anything else than before, the log says with what.
+    goes on with anything else than before, the log says with what; and so where the code is not that of the command, or
+    no longer that of the files, which then tell no commit.
     """
     folder = training.provenance
     folder.mkdir(exist_ok=True)
@@ -112,6 +108,8 @@ def write_provenance(job: Job, training: Training) -> None:
         changes = _changes(starts[-2], start)
         if changes:
             _LOG.warning("step %d: training goes on with other code or hardware (%s)", start["step"], changes)
+    if not training.is_trained and (told := said_of_change(job.source, loaded_digest(), package_digest())):
+        _LOG.warning("%s", told)
     if job.settings.tracking.provenance is Provenance.full:
         write_text(folder / "environment.txt", environment())
         _write_diff(folder / "uncommitted.diff", diff)
@@ -122,9 +120,28 @@ def write_provenance(job: Job, training: Training) -> None:
     write_json(folder / "made_with.json", _in_short(starts))
 
 
+def end_provenance(training: Training) -> list[str]:
+    """Look at the code of the package again when a training ends; returns what a reader of it must know, as a sentence.
+
+    Where files differ from what runs, the newest entry of `starts.json` gets their digest as `source_at_end`.
+    """
+    loaded, now = loaded_digest(), package_digest()
+    starts = training.starts
+    if now != loaded and starts:
+        if "source_at_start" not in starts[-1]:
+            _LOG.warning("%s", said_of_change(loaded, loaded, now))
+        write_json(training.provenance / "starts.json", {"starts": [*starts[:-1], starts[-1] | {"source_at_end": now}]})
+    sources = list(dict.fromkeys(str(start[key]) for start in starts[-1:] for key in _OF_SOURCE if key in start))
+    if len({*sources, now}) < 2:
+        return []
+    trained = f"It was trained by source {loaded} of ablate, whose files changed while its command ran"
+    return [f"{trained} ({', '.join(dict.fromkeys([*sources, now]))})."]
+
+
 def _this_start(job: Job, training: Training) -> tuple[dict[str, Any], str]:
     """What this process trains with, and the uncommitted changes of its code."""
-    code = git_state()
+    loaded, now = loaded_digest(), package_digest()
+    code = git_state() if now == loaded else {}
     diff = code.pop("git_diff", "")
     if diff:
         code["git_diff"] = digest(diff)
@@ -137,7 +154,9 @@ def _this_start(job: Job, training: Training) -> tuple[dict[str, Any], str]:
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(["python", "-m", "ablate", *job.words]),
         **code,
-        "source": package_digest(),
+        "source": loaded,
+        **({} if job.source == loaded else {"source_of_command": job.source}),
+        **({} if now == loaded else {"source_at_start": now}),
         "hardware": hardware(),
         "threads": settings.threads or torch.get_num_threads(),
         "step": step,

@@ -122,9 +122,10 @@ def provenance(runs: Sequence[Run]) -> dict[str, str]:
 def results_of(usable: ComparableRuns, reference: str = REFERENCE) -> StudyResults:
     """The scores of runs, which may show several anatomies, and the design that they make up; without pictures."""
     runs = usable.all
-    factors = factors_of(runs)
+    factors, declared = factors_of(runs), components()
     per_image, scalars = scored_frames(runs, reference)
-    design = analysis.find_design({run.label: levels_of(run.identity) for run in runs}, factors, reference)
+    levels = {run.label: levels_of(run.identity) for run in runs}
+    design = analysis.find_design(levels, factors, reference)
     means = analysis.run_means(per_image, scalars, design)
     anatomy_of = {run.data: str(run.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}
     means["data"] = means["data"].map(anatomy_of)
@@ -140,10 +141,21 @@ def results_of(usable: ComparableRuns, reference: str = REFERENCE) -> StudyResul
         blocks=per_image[per_image["data"] != compared],
         design=design,
         means=means,
-        components=analysis.with_undeclared(components(), factors),
+        components=analysis.with_undeclared(declared, factors),
+        varied=frozenset(factor for factor in factors if len(_levels_in(levels, factor)) > 1),
         spreads=spreads,
         machine=timed_on(runs),
     )
+
+
+def _levels_in(levels: Mapping[str, Mapping[str, object]], factor: str) -> set[str]:
+    """The levels that the networks have of a factor, as text; those that have none are left out."""
+    return {repr(own[factor]) for own in levels.values() if factor in own and not _lacks(own, factor)}
+
+
+def _lacks(own: Mapping[str, object], factor: str) -> bool:
+    """Whether a network is one of the user's that does not have a component, whatever its settings say."""
+    return own.get("model.family") == Family.custom and factor in NOT_OF_CUSTOM
 
 
 def table_of_runs(runs: Sequence[Run]) -> pd.DataFrame:
@@ -166,6 +178,7 @@ def _wide(
         bounds = times.set_index(run)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
         wide = wide.join(bounds.astype("float64"), on=run)
     for place, factor in enumerate(factors, start=len(run)):
-        lack = {v for v, own in levels.items() if own.get("model.family") == Family.custom and factor in NOT_OF_CUSTOM}
-        wide.insert(place, factor, [None if v in lack else levels[v].get(factor) for v in wide["variant"]])
+        wide.insert(
+            place, factor, [None if _lacks(levels[v], factor) else levels[v].get(factor) for v in wide["variant"]]
+        )
     return wide

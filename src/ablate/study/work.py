@@ -25,7 +25,7 @@ from ablate.sources.prepare import prepare_data
 from ablate.storage import held, remove_partial, written_whole
 from ablate.study.job import Job, claim, parameters, refuse_lost_network
 from ablate.study.log import LocalLog, Status
-from ablate.study.provenance import write_provenance
+from ablate.study.provenance import end_provenance, write_provenance
 from ablate.study.scores import ScoreKey, by_metric, wanted_scores, write_score
 from ablate.study.training import Training
 from ablate.threads import torch_threads
@@ -88,7 +88,7 @@ def _train_and_score(job: Job, training: Training) -> None:
                 {
                     "pixels": data.pixels,
                     "scalars": scalars,
-                    "notes": dataset.alike_labels(data.tissues, values),
+                    "notes": [*dataset.alike_labels(data.tissues, values), *end_provenance(training)],
                     "started": training.starts[0].get("time", began),
                     "ended": _now(),
                 }

@@ -18,6 +18,7 @@ from ablate.command.composed import CONFIG, VERSION_BASE, composed
 from ablate.command.launch import Launch, Start, Work, start_here
 from ablate.command.refusals import in_one_line, with_hint
 from ablate.command.schema import register
+from ablate.command.search import said_of_search
 from ablate.command.words import readable
 from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError, Task
@@ -173,14 +174,19 @@ def _do(jobs: Sequence[Job], launch: Launch) -> int:
 class Comparison(hydra.experimental.callback.Callback):
     """A callback of Hydra's: compares the study of a sweep when all jobs have ended, where none saw all of them.
 
-    That is where another launcher than ours has run each by itself, or a sweeper has launched them in batches.
+    That is where another launcher than ours has run each by itself, or a sweeper has launched them in batches. Of a
+    search it prints the best trial instead.
     """
 
     def on_multirun_end(self, config: DictConfig, **_: object) -> None:
         """Compare what lies on disk when all jobs have ended."""
+        if config.objective is not None and config.task == Task.study:
+            for line in said_of_search(config):
+                print(line)
+            return
         is_ours = str(config.hydra.launcher.get("_target_")).startswith(_OURS)
         is_compared = is_ours and not _in_batches(config)
-        if is_compared or config.objective is not None or config.task != Task.study:
+        if is_compared or config.task != Task.study:
             return
         words = [*_words(config.hydra, "hydra"), *_words(config.hydra, "task")]
         HydraConfig.instance().set_config(config)

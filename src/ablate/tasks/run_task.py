@@ -6,6 +6,7 @@ from pathlib import Path
 from ablate.command.checks import check
 from ablate.command.describe import description
 from ablate.command.launch import Launch
+from ablate.settings.conf import said_of_components
 from ablate.settings.study import ConfigurationError, Task, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.source import source_of
@@ -20,6 +21,9 @@ def run_task(jobs: Sequence[Job], launch: Launch) -> int:
     task = jobs[0].settings.task
     if task is not Task.describe:
         check(jobs, elsewhere=launch.elsewhere)
+    if task in (Task.study, Task.plan, Task.compare):
+        for line in said_of_components():
+            print(f"Note: {line}")
     if task in (Task.study, Task.simulate):
         try:
             return study(jobs, launch) if task is Task.study else simulate(jobs, launch)

@@ -223,8 +223,8 @@ def resume(module: PairGAN, path: Path) -> None:
         trained = f"trained by version {version} of the training, this program has version {TRAINING_VERSION}"
         raise ValueError(f"{path}: {trained}; remove it to start again")
     stored = checkpoint["hyper_parameters"]
-    began_with = stored["spec"] | stored["settings"] | {"labels": stored.get("labels")}
-    asked_for = identity(module.spec) | identity(module.settings) | {"labels": module.labels}
+    began_with = {"settings": {}} | stored["spec"] | stored["settings"] | {"labels": stored.get("labels")}
+    asked_for = {"settings": {}} | identity(module.spec) | identity(module.settings) | {"labels": module.labels}
     changes = [
         f"{key}={began_with.get(key)} there, {value} asked for"
         for key, value in asked_for.items()

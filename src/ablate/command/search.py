@@ -1,0 +1,59 @@
+"""What a search came to: the best trial of a sweeper of Hydra's that optimises a score."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from ablate.command.compose import job_of
+from ablate.command.composed import parsed
+
+_RESULTS = "optimization_results.yaml"  # Hydra's sweepers write it into hydra.sweep.dir
+# How Optuna's and Nevergrad's name the settings of the best trial, and its score.
+_BEST = (("best_params", "best_value"), ("best_evaluated_params", "best_evaluated_result"))
+
+
+def said_of_search(config: DictConfig) -> list[str]:
+    """Lines that say which trial of a search was best, its score, and where it lies; none of another sweeper.
+
+    `config` is that of the command, with its node `hydra`, when the search has ended.
+    """
+    results = Path(str(config.hydra.sweep.dir)) / _RESULTS
+    name = str(OmegaConf.select(config, "hydra.sweeper._target_") or "").rpartition(".")[2].removesuffix("Sweeper")
+    if name in ("Cell", "Basic", ""):
+        return []
+    try:
+        found = yaml.safe_load(results.read_text("utf-8"))
+    except (OSError, yaml.YAMLError):
+        found = None
+    for params, value in _BEST:
+        if isinstance(found, Mapping) and isinstance(best := found.get(params), Mapping) and value in found:
+            return _said(config, {str(key): of_key for key, of_key in best.items()}, found[value])
+    return [f"Search  {results} has what {name} has found"] if results.exists() else []
+
+
+def _said(config: DictConfig, best: Mapping[str, Any], score: object) -> list[str]:
+    """The words of the best trial, which are also how it is asked for again, its score and its folder."""
+    words = [f"{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in best.items()]
+    given = OmegaConf.to_container(config.hydra.overrides, resolve=False)
+    assert isinstance(given, dict)
+    kept = [word for word in given["task"] if _key(word) not in best and not parsed([word])[0].is_sweep_override()]
+    job = job_of([*kept, *words], tuple(best), given["hydra"])
+    folder = job.folder
+    shown = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+    shown_score = f"{score:.5g}" if isinstance(score, float | int) else score
+    return [
+        f"Best    {' '.join(words)}   ({config.objective} {shown_score})",
+        f"Trial   {shown}",
+        f"Look    python -m ablate task=compare {' '.join(word for word in kept if _key(word) in _OF_STUDY)}".rstrip(),
+    ]
+
+
+#: Words that name a study, which compares all trials.
+_OF_STUDY = ("preset", "scene", "scene.folder", "study_name", "runs_dir")
+
+
+def _key(word: str) -> str:
+    return word.partition("=")[0].lstrip("+")

@@ -1,0 +1,69 @@
+"""At the end of a search by a sweeper of Hydra's the best trial is named, with its score and its folder."""
+
+from pathlib import Path
+
+import pytest
+from omegaconf import DictConfig, open_dict
+
+from ablate.command.compose import job_of
+from ablate.command.composed import composed
+from ablate.tasks.entry import Comparison
+
+RATE = "training.learning_rate"
+SWEEPERS = "hydra_plugins.hydra_{0}_sweeper.{0}_sweeper.{1}Sweeper"
+
+
+def search(folder: Path, target: str) -> DictConfig:
+    """What Hydra hands to a callback; the plugin, which composes it with this command line, need not be installed."""
+    typed = ["preset=tiny", "objective=val/psnr_fan", f"runs_dir={folder}", "study_name=rate"]
+    config = composed([*typed, f"hydra.sweep.dir={folder}/.hydra"])
+    with open_dict(config):
+        config.hydra.sweeper._target_ = target
+        config.hydra.overrides.task = [*typed, f"{RATE}=tag(log,interval(1e-4,1e-2))", "seed=choice(0,1)"]
+    (folder / ".hydra").mkdir()
+    return config
+
+
+# As hydra_optuna_sweeper 1.2 and hydra_nevergrad_sweeper 1.2 write them.
+FILES = {
+    (
+        "optuna",
+        "Optuna",
+    ): f"name: optuna\nbest_params:\n  {RATE}: 0.0015448048928672032\n  seed: 1\nbest_value: 23.61234\n",
+    ("nevergrad", "Nevergrad"): f"name: nevergrad\nbest_evaluated_params:\n  {RATE}: 0.0015448048928672032\n  seed: 1\n"
+    "best_evaluated_result: 23.61234\n",
+}
+
+
+@pytest.mark.parametrize("sweeper", FILES)
+def test_the_best_trial_is_printed(
+    sweeper: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = search(tmp_path, SWEEPERS.format(*sweeper))
+    (tmp_path / ".hydra/optimization_results.yaml").write_text(FILES[sweeper])
+    Comparison().on_multirun_end(config)
+    words = ["preset=tiny", f"runs_dir={tmp_path}", "study_name=rate", f"{RATE}=0.0015448048928672032", "seed=1"]
+    trial = job_of(words, [RATE, "seed"])
+    assert capsys.readouterr().out.splitlines() == [
+        f"Best    {RATE}=0.0015448048928672032 seed=1   (val/psnr_fan 23.612)",
+        f"Trial   rate/sa2h.learning_rate-0.0015448048928672032-seed1-{trial.hash[:8]}",
+        f"Look    python -m ablate task=compare preset=tiny runs_dir={tmp_path} study_name=rate",
+    ]
+
+
+def test_nothing_is_said_of_a_search_that_was_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file of an earlier search lies there."""
+    config = search(tmp_path, "hydra_plugins.ablate_plugins.CellSweeper")
+    (tmp_path / ".hydra/optimization_results.yaml").write_text(FILES["optuna", "Optuna"])
+    Comparison().on_multirun_end(config)
+    assert not capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["name: optuna\nsolutions: []\n", "- odd\n", "a: ["])
+def test_a_file_of_another_form_is_named(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = search(tmp_path, SWEEPERS.format("optuna", "Optuna"))
+    file = tmp_path / ".hydra/optimization_results.yaml"
+    file.write_text(text)
+    Comparison().on_multirun_end(config)
+    assert capsys.readouterr().out == f"Search  {file} has what Optuna has found\n"
