@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ablate.anatomy import Scene, SiteGrid
+from ablate.anatomy import Scene, SiteGrid, structure_names
 from ablate.dataset import equally_spaced, place_probe, read_poses
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.simulated import training_poses
@@ -183,8 +183,9 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -
     placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)
     named: dict[str, np.ndarray] = {}
     structures_of: Counter[str] = Counter()
-    for structure in sorted(scene.structures, key=lambda s: -abs(s.mesh.volume))[1:_MOST_SITES]:
-        name = Path(str(structure.mesh.metadata.get("name", structure.tissue.name))).stem.replace("_", " ")
+    called = zip(scene.structures, structure_names(scene), strict=True)
+    for structure, called_so in sorted(called, key=lambda one: -abs(one[0].mesh.volume))[1:_MOST_SITES]:
+        name = called_so.replace("_", " ")
         parts = structure.mesh.split(only_watertight=False)  # one kidney of two, not what lies between them
         pose = hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)
         if pose is not None:
