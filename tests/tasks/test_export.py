@@ -101,7 +101,7 @@ def test_classes_are_structures_which_together_are_the_tissues(
         organ = trimesh.creation.icosphere(2, radius=10)
         organ.apply_translation((x, -35, 0)).export(folder / f"{name}.obj")
     organs = [{"mesh": f"{name}.obj", "tissue": "kidney"} for name in ("left_kidney", "right_kidney")]
-    sites = {"heights": [-6, 0, 6], "angles": [-12, 0, 12], "axis": [0, 0, 1]}
+    sites = {"heights": [-6, 0, 6], "angles": [-12, -4, 4, 12], "axis": [0, 0, 1]}
     content = {"structures": [{"mesh": "body.obj", "tissue": "liver"}, *organs], "sites": sites}
     (folder / "scene.yaml").write_text(yaml.safe_dump(content))
     made = ["preset=tiny", "simulator.image_shape=[129,179]", "scene=folder", f"scene.folder={folder}"]

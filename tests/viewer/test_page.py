@@ -260,14 +260,16 @@ def test_the_width_of_the_window_decides_that_of_the_panels(
 
 
 def test_another_probe_is_taken_and_pressed_on_the_skin(client: Client, viewer: Viewer) -> None:
-    before = viewer.session.state.probe
+    before, hold = viewer.session.state.probe, viewer.session.hold
     client.set("Probe", "linear")
     client.until(lambda: viewer.session.state.probe.kind == "linear")
     settle(client, viewer)
     assert viewer.page.shown is not None
     assert viewer.page.shown.state.probe == viewer.session.state.probe
     assert viewer.page.shown.mask.shape == viewer.session.state.simulator.image_shape
-    assert viewer.session.hand.judge(viewer.session.state.pose) == ""
+    assert viewer.session.hold == hold
+    centre, face = np.zeros(3), viewer.session.state.pose[:3, 3]
+    assert np.linalg.norm(face - centre) == pytest.approx(60 - 3, abs=1.5), "3 mm into a ball, as its file says"
     client.set("Probe", "as started")
     client.until(lambda: viewer.session.state.probe == before)
     settle(client, viewer)

@@ -1,9 +1,12 @@
 """Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -14,12 +17,14 @@ from skimage.transform import resize
 from skimage.util import montage
 
 from ablate.anatomy import Tissue, load_tissues
-from ablate.dataset.classes import Classes
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.png_folder import FOLDERS
 from ablate.dataset.png_tables import fan_values
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
+
+if TYPE_CHECKING:
+    from ablate.dataset.classes import Classes  # which loads the simulator
 
 _THUMBNAIL_PX = 320
 _PER_PART = 8  # frames on the contact sheet

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -23,7 +24,7 @@ _ZOOMED = 2.0  # from here on each tick has its depth
 _SCALE = (150, 160, 170)
 _MARK = (44, 160, 44)
 _YELLOW = "#ffd400"
-_EDGE = {"stroke_width": 2, "stroke_fill": PAPER}  # around letters on an image
+_EDGE: dict[str, Any] = {"stroke_width": 2, "stroke_fill": PAPER}  # around letters on an image
 _INFERNO = [0, 0, 0, *colormaps["inferno"](np.linspace(0, 1, 255), bytes=True)[:, :3].ravel().tolist()]
 
 
@@ -96,8 +97,8 @@ def framed(
     way = Image.Resampling.NEAREST if palette else Image.Resampling.BILINEAR
     size = np.array(picture.size)
     first = window.corner * size
-    seen = *first.tolist(), *np.minimum(first + size / window.zoom, size).tolist()
-    picture = picture.resize(picture_size(mask.shape, quality), way, box=seen)
+    (left, top), (right, bottom) = first.tolist(), np.minimum(first + size / window.zoom, size).tolist()
+    picture = picture.resize(picture_size(mask.shape, quality), way, box=(left, top, right, bottom))
     if window.sides is Sides.swapped:
         picture = ImageOps.mirror(picture)
     if palette:

@@ -103,9 +103,10 @@ def point_at(views: Views, layout: Layout, place: tuple[float, float]) -> np.nda
 def _tiles(views: Views, colours: Sequence[Colour], layout: Layout) -> list[Callable[[], _Tile]]:
     """What draws each image that is shown: the simulated one, generated ones, S, A and the difference."""
     window = layout.window
-    generated = [
-        partial(_generated, views, number, layout.names, window) for number in range(len(views.state.runs))
-    ] or [lambda: _Tile("generated", "", "no generator is picked:\nchoose one under Compare")]
+    runs = range(len(views.state.runs))
+    generated: list[Callable[[], _Tile]] = [partial(_generated, views, run, layout.names, window) for run in runs]
+    if not generated:
+        generated = [lambda: _Tile("generated", "", "no generator is picked:\nchoose one under Compare")]
     tiles: list[Callable[[], _Tile]] = [partial(_simulated, views, window)]
     if layout.shown is Shown.bmode:
         return tiles

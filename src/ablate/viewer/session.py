@@ -136,8 +136,8 @@ class Session:
         """Take another probe, with the settings of its own that reset goes back to; its face is pressed in anew."""
         self.hand.take(probe, press_mm)
         self.start = replace(self.start, probe=probe, simulator=simulator)
-        self.state = replace(self.state, probe=probe, simulator=simulator)
-        self.move()
+        pose, self.words = self.hand.place(self.hold) or (self.state.pose, OFF_BODY)
+        self._become(replace(self.state, probe=probe, simulator=simulator, pose=pose, hold=self.hold))
 
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
