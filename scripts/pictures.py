@@ -44,7 +44,7 @@ def write_panels(scene: Scene, probe: ConvexProbe, frame: Frame) -> None:
     with house_style():
         figure = Figure(figsize=(PAGE_IN, 0.4 * PAGE_IN))
         image, segmentation, attenuation = figure.subplots(
-            1, 3, sharey=True, gridspec_kw={"left": 0.06, "right": 0.945, "top": 0.93, "bottom": 0.32, "wspace": 0.04}
+            1, 3, sharey=True, gridspec_kw={"left": 0.075, "right": 0.9, "top": 0.93, "bottom": 0.3, "wspace": 0.05}
         )
         image.imshow(frame.image, cmap="gray", vmin=0, vmax=255, **placed)
         segmentation.imshow(colours[frame.segmentation], **placed)
@@ -53,9 +53,9 @@ def write_panels(scene: Scene, probe: ConvexProbe, frame: Frame) -> None:
         for axes, title in zip(figure.axes, ("B-mode image", "segmentation S", "attenuation map A"), strict=True):
             axes.set_title(title, pad=3)
             axes.set_xlabel("lateral (mm)")
-            axes.set_facecolor("black")
+            axes.set_xticks((-50, 0, 50))
         box = attenuation.get_position()
-        figure.colorbar(shares, cax=figure.add_axes((0.953, box.y0, 0.012, box.height)), label="share of the sound")
+        figure.colorbar(shares, cax=figure.add_axes((0.91, box.y0, 0.012, box.height)), label="share of the sound left")
         seen = np.bincount(frame.segmentation.ravel())
         most_first = [i for i in np.argsort(-seen, kind="stable") if i and seen[i] > LEAST_SHARE * seen[1:].sum()]
         named = [Patch(facecolor=colours[i], label=scene.tissues[i - 1].name.replace("_", " ")) for i in most_first]

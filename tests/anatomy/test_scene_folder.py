@@ -39,7 +39,7 @@ def write(folder: Path, **changes: object) -> Path:
 
 
 def test_a_tissue_of_ones_own_has_the_values_of_the_one_that_it_is_like(tmp_path: Path) -> None:
-    own = {"graft": {"like": "kidney", "speed_m_s": 1600}, "fat": {}, "cyst": {"like": "graft"}}
+    own = {"graft": {"like": "kidney", "speed_m_s": 1600}, "fat": {}, "other": {"like": "graft"}}
     tissue = load_scene(write(tmp_path, tissues=own)).structures[1].tissue
     assert tissue == replace(load_tissues()["kidney"], name="graft", speed_m_s=1600)
     with pytest.raises(ValueError, match=r"tissues\.graft\.like='kidny' \(did you mean kidney"):

@@ -261,7 +261,7 @@ def test_dicom_is_valid_and_calibrated(
     segmented = pydicom.dcmread(folder / "segmentation" / files[-1].name)
     assert segmented.SOPClassUID.name == "Segmentation Storage"
     assert segmented.ReferencedSeriesSequence[0].ReferencedInstanceSequence[0].ReferencedSOPInstanceUID in uids
-    assert [segment.SegmentLabel for segment in segmented.SegmentSequence] == list(pairs.tissues)
+    assert [segment.SegmentLabel for segment in segmented.SegmentSequence] == ["coupling_gel", "body"]
     labels = np.zeros(pairs.shape, np.uint8)
     for layer, of in zip(
         np.atleast_3d(segmented.pixel_array.T).T, segmented.PerFrameFunctionalGroupsSequence, strict=True
