@@ -1,7 +1,7 @@
 """Draw one simulated frame at the paper's size, in two pictures.
 
-docs/frame.png shows image, segmentation and attenuation map side by side. docs/preview.png shows the probe on the body
-in 3-D, as `task=preview` draws it.
+docs/frame.png shows image, segmentation and attenuation map side by side, with depths and the names of tissues.
+docs/preview.png shows the probe on the body in 3-D, as `task=preview` draws it.
 
 python scripts/pictures.py
 """
@@ -9,16 +9,19 @@ python scripts/pictures.py
 from pathlib import Path
 
 import numpy as np
-from skimage.io import imsave
-from skimage.transform import resize
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from ablate.analysis import preview_figure
 from ablate.analysis.figures.scene_parts import tissue_colours
+from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, TimeGain, with_patient_gain
+from ablate.ultrasound.probe import fan_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 PLANE = "spine"
+LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 FREQUENCY_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the attenuation map is left to see
 
 
@@ -28,21 +31,38 @@ def main() -> None:
     planes, patient = fetal_planes(), SimulatorSettings(tgc=TimeGain.patient)
     settings, pose = with_patient_gain(scene, probe, patient, np.array(list(planes.values()))), planes[PLANE]
     frame = Simulator(scene, probe, settings).render(pose)
-    write_panels(scene, frame)
+    write_panels(scene, probe, frame)
     title = f"sagittal plane of the {PLANE}"
     preview_figure(DOCS / "preview.png", title, scene, probe, pose, frame.image, frame.segmentation, grid)
 
 
-def write_panels(scene: Scene, frame: Frame) -> None:
-    """Write frame.png: image, segmentation and attenuation map."""
+def write_panels(scene: Scene, probe: ConvexProbe, frame: Frame) -> None:
+    """Write frame.png: image, segmentation with the names of its tissues, and attenuation map, by depth in mm."""
     colours = np.concatenate([[(0.0, 0.0, 0.0)], tissue_colours(scene.tissues)])
-    panels = [
-        np.repeat(frame.image[..., None] / 255, 3, axis=2),
-        colours[frame.segmentation],
-        np.repeat(frame.attenuation[..., None], 3, axis=2),
-    ]
-    small = [resize(panel, (500, 693), anti_aliasing=True) for panel in panels]
-    imsave(DOCS / "frame.png", (np.concatenate(small, axis=1) * 255).astype(np.uint8), check_contrast=False)
+    (height, width), top = fan_of(probe).size_mm, -fan_of(probe).sag_mm
+    placed = {"extent": (-width / 2, width / 2, top + height, top), "interpolation": "antialiased"}
+    with house_style():
+        figure = Figure(figsize=(PAGE_IN, 0.4 * PAGE_IN))
+        image, segmentation, attenuation = figure.subplots(
+            1, 3, sharey=True, gridspec_kw={"left": 0.075, "right": 0.9, "top": 0.93, "bottom": 0.3, "wspace": 0.05}
+        )
+        image.imshow(frame.image, cmap="gray", vmin=0, vmax=255, **placed)
+        segmentation.imshow(colours[frame.segmentation], **placed)
+        shares = attenuation.imshow(frame.attenuation, cmap="gray", vmin=0, vmax=1, **placed)
+        image.set_ylabel("depth (mm)")
+        for axes, title in zip(figure.axes, ("B-mode image", "segmentation S", "attenuation map A"), strict=True):
+            axes.set_title(title, pad=3)
+            axes.set_xlabel("lateral (mm)")
+            axes.set_xticks((-50, 0, 50))
+        box = attenuation.get_position()
+        figure.colorbar(shares, cax=figure.add_axes((0.91, box.y0, 0.012, box.height)), label="share of the sound left")
+        seen = np.bincount(frame.segmentation.ravel())
+        most_first = [i for i in np.argsort(-seen, kind="stable") if i and seen[i] > LEAST_SHARE * seen[1:].sum()]
+        named = [Patch(facecolor=colours[i], label=scene.tissues[i - 1].name.replace("_", " ")) for i in most_first]
+        figure.legend(
+            handles=named, frameon=False, loc="lower center", ncols=7, handlelength=0.9, handleheight=0.9, fontsize=7
+        )
+        figure.savefig(DOCS / "frame.png", dpi=PNG_DPI)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,14 @@ def write(folder: Path, **changes: object) -> Path:
     trimesh.creation.icosphere(radius=3.0).export(folder / "liver.stl")
     (folder / "scene.yaml").write_text(yaml.safe_dump({**GOOD, **changes}))
     return folder
+
+
+def test_a_tissue_of_ones_own_has_the_values_of_the_one_that_it_is_like(tmp_path: Path) -> None:
+    own = {"graft": {"like": "kidney", "speed_m_s": 1600}, "fat": {}, "other": {"like": "graft"}}
+    tissue = load_scene(write(tmp_path, tissues=own)).structures[1].tissue
+    assert tissue == replace(load_tissues()["kidney"], name="graft", speed_m_s=1600)
+    with pytest.raises(ValueError, match=r"tissues\.graft\.like='kidny' \(did you mean kidney"):
+        load_scene(write(tmp_path, tissues={"graft": {"like": "kidny"}}))
 
 
 def test_a_folder_is_read_in_mm_with_its_own_tissues(tmp_path: Path) -> None:

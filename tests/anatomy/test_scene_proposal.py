@@ -75,7 +75,8 @@ def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
         *[
             ("bladder_wall", "muscle"),
             ("urinary_bladder", "urine"),
-            ("gall_bladder_wall", "bile"),
+            ("gall_bladder_wall", "gallbladder_wall"),
+            ("gall_bladder", "bile"),
             ("tibialis_anterior_artery", "blood"),
             ("iliac_artery_left", "blood"),
         ],

@@ -280,3 +280,16 @@ def test_the_grain_of_other_scatterers_is_told_apart(by_lattice) -> None:
     """A positive control: with the scatterers of another seed the image is that much farther from the target."""
     for right, wrong in by_lattice.values():
         assert right > wrong + 1.5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tissues_that_are_younger_than_a_training_are_read_as_their_neighbours(name: str) -> None:
+    """By the order of brightness as the next darker one, by properties as themselves."""
+    values = load(name).values
+    assert values.keys() - {OUTSIDE} == load_tissues().keys()
+    if len(values[OUTSIDE]) == 1:
+        neighbours = {"spleen": "liver", "pancreas": "wharton_jelly", "bowel_wall": "muscle"}
+        assert all(values[younger] == values[older] for younger, older in neighbours.items())
+    else:
+        own = label_values([load_tissues()["spleen"]], Encoding.properties)[1]
+        np.testing.assert_allclose(values["spleen"], own)

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pydicom
 import pytest
+import trimesh
+import yaml
 import zarr
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,6 +22,7 @@ from PIL import Image
 
 from ablate.command.compose import jobs_of
 from ablate.dataset import Pairs, Part, open_pairs
+from ablate.dataset.classes import by_tissue
 from ablate.dataset.dicom_files import write_cine, write_dicom
 from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.settings.study import ConfigurationError
@@ -48,7 +52,7 @@ def exported(arguments: list[str], form: str, capsys: pytest.CaptureFixture[str]
     (source,) = (folder.parents[1] / "data").glob("*/about.json")
     card = (folder / "README.md").read_text()
     assert source.parent.name in card
-    assert "1 is coupling_gel, 2 is liver" in card
+    assert f"1 is coupling_gel, 2 is {'liver' if form == 'png' else 'body'}" in card
     return folder, open_pairs(source.parent)
 
 
@@ -75,7 +79,7 @@ def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys
     described = json.loads((raw / "dataset.json").read_text())
     assert raw.name.startswith("Dataset001_")
     assert described["file_ending"] == ".png"
-    assert described["labels"] == {"background": 0, "coupling_gel": 1, "liver": 2}
+    assert described["labels"] == {"background": 0, "coupling_gel": 1, "body": 2}
     images, labels = ({p.name for p in (raw / d).iterdir()} for d in ("imagesTr", "labelsTr"))
     assert len(labels) == described["numTraining"] == int((pairs.split != Part.test).sum())
     assert images == {name.replace(".png", "_0000.png") for name in labels}
@@ -84,6 +88,39 @@ def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys
     frame = int(pairs.frames(Part.test)[0])
     held = np.array(Image.open(raw / "labelsTs" / f"frame{frame:05d}.png"))
     assert np.array_equal(held, pairs.stored("segmentation", frame))
+
+
+def test_classes_are_structures_which_together_are_the_tissues(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two organs of one tissue are two classes, unless tissues are asked for; of S both are one label."""
+    folder = tmp_path / "organs"
+    folder.mkdir()
+    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
+    for name, x in (("left_kidney", -12.0), ("right_kidney", 12.0)):
+        organ = trimesh.creation.icosphere(2, radius=10)
+        organ.apply_translation((x, -35, 0)).export(folder / f"{name}.obj")
+    organs = [{"mesh": f"{name}.obj", "tissue": "kidney"} for name in ("left_kidney", "right_kidney")]
+    sites = {"heights": [-6, 0, 6], "angles": [-12, -4, 4, 12], "axis": [0, 0, 1]}
+    content = {"structures": [{"mesh": "body.obj", "tissue": "liver"}, *organs], "sites": sites}
+    (folder / "scene.yaml").write_text(yaml.safe_dump(content))
+    made = ["preset=tiny", "simulator.image_shape=[129,179]", "scene=folder", f"scene.folder={folder}"]
+    made += [f"runs_dir={tmp_path / 'runs'}", "dataset.grid=null", "dataset.format=nnunet", "task=export"]
+    held = {}
+    for classes in ("structures", "tissues"):
+        assert run(f"dataset.classes={classes}", *made) == 0
+        raw = next(Path(capsys.readouterr().out.strip().splitlines()[-1]).glob("Dataset001_*"))
+        labels = json.loads((raw / "dataset.json").read_text())["labels"]
+        files = sorted(raw.glob("labelsT?/*.png"))
+        held[classes] = labels, np.stack([np.array(Image.open(file)) for file in files])
+    (of_structures, structures), (of_tissues, tissues) = held.values()
+    assert of_structures.keys() == {"background", "coupling_gel", "body", "left_kidney", "right_kidney"}
+    assert of_tissues.keys() == {"background", "coupling_gel", "liver", "kidney"}
+    for side in ("left_kidney", "right_kidney"):
+        assert (structures == of_structures[side]).sum() > 100
+    both = (structures == of_structures["left_kidney"]) | (structures == of_structures["right_kidney"])
+    np.testing.assert_array_equal(both, tissues == of_tissues["kidney"])
+    np.testing.assert_array_equal(structures == of_structures["body"], tissues == of_tissues["liver"])
 
 
 class OfTissues:
@@ -108,7 +145,8 @@ class OfTissues:
 
 def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
     tissues = ("background", "bone", "gas", "liver", "liver")
-    write_nnunet(OfTissues(tissues, [0, 1, 4, 5]), tmp_path)  # type: ignore[arg-type]
+    pairs: Any = OfTissues(tissues, [0, 1, 4, 5])
+    write_nnunet(pairs, tmp_path, by_tissue(pairs))
     described = json.loads((tmp_path / "dataset.json").read_text())
     assert described["labels"] == {"background": 0, "background_1": 1, "liver_4": 2, "liver_5": 3}, "names twice"
     assert np.array(Image.open(tmp_path / "labelsTr" / "frame00000.png")).tolist() == [[0, 1], [2, 3]]
@@ -119,7 +157,8 @@ def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
 def test_every_class_of_nnunet_has_a_name_of_its_own(tissues: list[str]) -> None:
     labels = range(1, len(tissues) + 1)
     with TemporaryDirectory() as folder:
-        write_nnunet(OfTissues(tissues, [0, *labels] * 2), Path(folder))  # type: ignore[arg-type]
+        pairs: Any = OfTissues(tissues, [0, *labels] * 2)
+        write_nnunet(pairs, Path(folder), by_tissue(pairs))
         described = json.loads((Path(folder) / "dataset.json").read_text())["labels"]
     assert sorted(described.values()) == [0, *labels], "no name is taken twice"
     assert described["background"] == 0
@@ -134,8 +173,8 @@ NAMES = ("coupling_gel", "肝臓", "Läppchen", "a\\b^c=d", "tab\tname", "  ", "
 
 
 def test_names_of_any_script_are_one_value_of_dicom_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pairs = OfTissues(NAMES, [*range(1, len(NAMES) + 1), 1], tmp_path / "肝臓\\left-0123")
-    write_dicom(pairs, tmp_path / "set", (0.3, 0.2))  # type: ignore[arg-type]
+    pairs: Any = OfTissues(NAMES, [*range(1, len(NAMES) + 1), 1], tmp_path / "肝臓\\left-0123")
+    write_dicom(pairs, tmp_path / "set", (0.3, 0.2), by_tissue(pairs))
     monkeypatch.setattr(pydicom.config.settings, "reading_validation_mode", pydicom.config.RAISE)
     image, segmented = (pydicom.dcmread(tmp_path / "set" / place / "frame00000.dcm") for place in (".", "segmentation"))
     for held in (image, segmented):
@@ -205,7 +244,7 @@ def test_dicom_is_valid_and_calibrated(
     again = Path(shutil.copytree(pairs.folder, tmp_path / pairs.folder.name))
     targets = zarr.open(again / "pairs.zarr")["target"]
     targets[0] = np.clip(targets[0], 0, 200) + np.uint8(9)  # other pixels of the same recipe, as of another processor
-    write_dicom(open_pairs(again), tmp_path / "again", (0.3, 0.3))
+    write_dicom(open_pairs(again), tmp_path / "again", (0.3, 0.3), by_tissue(pairs))
     assert {pydicom.dcmread(file).SOPInstanceUID for file in (tmp_path / "again").glob("*.dcm")} != uids
     probe = pairs.probe or jobs_of(arguments)[0].settings.probe
     region = held.SequenceOfUltrasoundRegions[0]
@@ -222,7 +261,7 @@ def test_dicom_is_valid_and_calibrated(
     segmented = pydicom.dcmread(folder / "segmentation" / files[-1].name)
     assert segmented.SOPClassUID.name == "Segmentation Storage"
     assert segmented.ReferencedSeriesSequence[0].ReferencedInstanceSequence[0].ReferencedSOPInstanceUID in uids
-    assert [segment.SegmentLabel for segment in segmented.SegmentSequence] == list(pairs.tissues)
+    assert [segment.SegmentLabel for segment in segmented.SegmentSequence] == ["coupling_gel", "body"]
     labels = np.zeros(pairs.shape, np.uint8)
     for layer, of in zip(
         np.atleast_3d(segmented.pixel_array.T).T, segmented.PerFrameFunctionalGroupsSequence, strict=True

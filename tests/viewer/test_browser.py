@@ -20,6 +20,7 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
 from ablate.command.compose import jobs_of  # noqa: E402
+from ablate.viewer.calipers import in_plane  # noqa: E402
 from ablate.viewer.server import HOST  # noqa: E402
 from ablate.viewer.session import Quality  # noqa: E402
 from ablate.viewer.task import Viewer  # noqa: E402
@@ -115,6 +116,30 @@ def test_a_key_moves_the_probe_and_changes_the_image(browser: Any, viewer: Viewe
     until(lambda: shown(browser) not in (before, None))
     press(browser, str(list(viewer.session.presets).index("head") + 1))
     until(lambda: np.array_equal(viewer.session.state.pose, viewer.session.presets["head"]))
+
+
+def test_keys_move_the_probe_after_a_box_was_ticked(browser: Any, viewer: Viewer) -> None:
+    box = browser.find_element("xpath", "//label[contains(., 'Freeze')]/ancestor::*[.//input][1]//input")
+    for frozen in (True, False):
+        browser.execute_script("arguments[0].focus(); arguments[0].click()", box)
+        until(lambda frozen=frozen: viewer.session.frozen is frozen)
+        time.sleep(0.3)
+        angle = viewer.session.hold.angle_deg
+        browser.switch_to.active_element.send_keys("l")
+        until(lambda angle=angle: viewer.session.hold.angle_deg == pytest.approx(angle + 3.0))
+    settle(viewer)
+
+
+def test_a_click_on_an_image_marks_the_place_that_was_clicked(browser: Any, viewer: Viewer) -> None:
+    image = next(i for i in browser.find_elements("tag name", "img") if i.get_attribute("src").startswith("blob:"))
+    webdriver.ActionChains(browser).move_to_element_with_offset(
+        image, -image.size["width"] // 4, -image.size["height"] // 4
+    ).click().perform()
+    until(lambda: len(viewer.page.layout.points) == 1)
+    x, z = in_plane(viewer.page.layout.points, viewer.session.state.pose)[0]
+    assert abs(x) < 10, "the middle of the first of four images"
+    assert 50 < z < 100
+    viewer.page.lay_out(points=np.empty((0, 3)))
 
 
 def test_every_box_shows_what_holds_after_typing(browser: Any, viewer: Viewer) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ablate.ultrasound import ConvexProbe
-from ablate.viewer.calipers import circumference, in_plane, lines, measured, on_plane
+from ablate.viewer.calipers import circumference, in_plane, lines, measured, on_plane, values
 
 
 def test_the_circumference_is_the_length_of_the_outline() -> None:
@@ -44,3 +44,13 @@ def test_points_stay_with_the_anatomy_and_go_with_the_plane() -> None:
     assert in_plane(np.stack([point, [10, 3, 60]]), moved).shape == (0, 2), "one of two is off the plane"
     with pytest.raises(ValueError, match="edge on"):
         on_plane(pose, np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+
+
+def test_what_is_said_of_points_is_written_beside_them() -> None:
+    points = np.array([[0.0, 50.0], [30.0, 50.0], [30.0, 90.0], [10.0, 90.0]])
+    assert values(points[:1]) == []
+    ((beside, words),) = values(points[:2])
+    assert (tuple(beside), words) == ((30.0, 50.0), "30.0 mm")
+    ((beside, words),) = values(points[:3])
+    assert (tuple(beside), words) == ((30.0, 50.0), "90°")
+    assert [words for _, words in values(points)] == ["30.0 mm", "20.0 mm"]

@@ -4,6 +4,7 @@ import json
 import shlex
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +24,8 @@ from ablate.settings.study import ConfigurationError, Task
 from ablate.sources.prepare import simulator_of
 from ablate.sources.source import source_of
 from ablate.ultrasound import Simulator
+from ablate.viewer.calipers import in_plane
+from ablate.viewer.pictures import Window
 from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
 from support.viewed_body import free_port, until
@@ -208,6 +211,80 @@ def test_a_sweep_is_recorded(client: Client, viewer: Viewer) -> None:
     client.until(lambda: "dataset.poses" in str(client.values[client.labels["Command"]].get("value")))
 
 
+def test_a_recording_without_a_pose_ends_too(client: Client, viewer: Viewer) -> None:
+    viewer.session.freeze(True)
+    settle(client, viewer)
+    client.set("Record a sweep", True)
+    client.until(lambda: "Recording:" in client.texts())
+    client.set("Record a sweep", False)
+    client.until(lambda: "nothing was recorded" in client.texts())
+    assert "Recording:" not in client.texts()
+    viewer.session.freeze(False)
+
+
+def test_a_click_on_an_image_measures_and_shift_moves_what_is_zoomed(client: Client, viewer: Viewer) -> None:
+    settle(client, viewer)
+
+    def click(x: float, y: float, shift: bool = False) -> None:
+        client.set("page", "page:" + json.dumps({"place": [x, y], "shift": shift, "at": time.time()}))
+
+    click(0.1, 0.25)
+    click(0.2, 0.25)
+    client.until(lambda: len(viewer.page.layout.points) == 2)
+    client.until(lambda: "Distance" in client.texts())
+    points = in_plane(viewer.page.layout.points, viewer.session.state.pose)
+    assert points[0, 1] == pytest.approx(points[1, 1])
+    assert points[1, 0] > points[0, 0] + 5
+    client.set("Fetus", "BPD, biparietal diameter")
+    client.until(lambda: "Hadlock 1984" in client.texts())
+    client.set("Fetus", "-")
+    client.set("Zoom", 2.0)
+    client.until(lambda: viewer.page.layout.window.zoom == 2)
+    click(0.1, 0.25, shift=True)
+    client.until(lambda: viewer.page.layout.window.middle != (0.5, 0.5))
+    assert len(viewer.page.layout.points) == 2
+    assert viewer.page.layout.window.middle[0] < 0.5
+    client.set("Zoom", 1.0)
+    viewer.page.lay_out(points=np.empty((0, 3)), window=Window())
+
+
+def test_the_width_of_the_window_decides_that_of_the_panels(
+    client: Client, viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[int] = []
+    monkeypatch.setattr(type(viewer.page.images), "set_width", lambda _, width: told.append(width))
+    for width in (800, 1366, 1920):
+        client.set("page", f'page:{{"width": {width}}}')
+    client.until(lambda: len(told) == 3)
+    assert told[0] < 500 < 640 < told[1] < told[2] > 900
+
+
+def test_another_probe_is_taken_and_pressed_on_the_skin(client: Client, viewer: Viewer) -> None:
+    before, hold = viewer.session.state.probe, viewer.session.hold
+    client.set("Probe", "linear")
+    client.until(lambda: viewer.session.state.probe.kind == "linear")
+    settle(client, viewer)
+    assert viewer.page.shown is not None
+    assert viewer.page.shown.state.probe == viewer.session.state.probe
+    assert viewer.page.shown.mask.shape == viewer.session.state.simulator.image_shape
+    assert viewer.session.hold == hold
+    centre, face = np.zeros(3), viewer.session.state.pose[:3, 3]
+    assert np.linalg.norm(face - centre) == pytest.approx(60 - 3, abs=1.5), "3 mm into a ball, as its file says"
+    client.set("Probe", "as started")
+    client.until(lambda: viewer.session.state.probe == before)
+    settle(client, viewer)
+
+
+def test_nothing_is_drawn_before_the_plane_that_is_looked_at(viewer: Viewer) -> None:
+    camera = SimpleNamespace(fov=0.7, aspect=1.0, near=0.01)
+    looks = SimpleNamespace(client_id=-1, camera=camera, atomic=nullcontext)
+    viewer.page.body.face(looks, viewer.session.state)
+    distance = np.linalg.norm(camera.position - camera.look_at)
+    assert camera.near == pytest.approx(distance - 0.01), "a millimetre before the fan"
+    viewer.session.nudge(tilt_deg=3.0)
+    assert camera.near == 0.01, "the fan has left that plane"
+
+
 def test_another_generator_is_picked_and_one_that_is_gone_is_said(
     client: Client, viewer: Viewer, tmp_path: Path
 ) -> None:
@@ -324,7 +401,7 @@ def test_the_name_of_a_tissue_is_words_on_the_page(
     seen = held @ (0.0, 0.0, 30.0, 1.0)
     viewer.page.body.clicked(seen[:3] + 200 * held[:3, 1], -held[:3, 1])
     client.until(lambda: "onerror" in client.texts() and "30 mm deep" in client.texts())
-    assert "<img" not in client.texts()
+    assert "<img src=x" not in client.texts()
     viewer.page.lay_out(points=np.empty((0, 3)))
 
 

@@ -76,6 +76,18 @@ def test_a_cross_lies_where_the_label_of_its_point_is_read() -> None:
     np.testing.assert_allclose(yellow, (row, column), atol=1.5)
 
 
+def test_a_distance_is_written_beside_its_second_point() -> None:
+    bare, marked = (Image.new("RGB", SHAPE[::-1]) for _ in range(2))
+    points = np.array([[-30.0, 60.0], [10.0, 60.0]])
+    mark(bare, points[:1], PROBE)
+    mark(bare, points[1:], PROBE)
+    mark(marked, points, PROBE)
+    added = np.argwhere((np.asarray(marked) != np.asarray(bare)).any(axis=-1))
+    second = SHAPE[1] / 2 + 10 / 217.96 * SHAPE[1]
+    assert second + 40 < added[:, 1].max() < second + 120, "letters to the right of the second cross"
+    assert np.ptp(added[:, 0]) > 8, "and not the line alone"
+
+
 def test_narrow_images_stand_in_the_middle_of_cells_that_are_wider_than_high() -> None:
     bright = Image.new("RGB", (300, 400), "white")
     picture = _mosaic([("a", "", bright)] * 4)

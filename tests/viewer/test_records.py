@@ -55,6 +55,15 @@ def test_a_command_line_names_a_folder_whatever_its_name_is(tmp_path: Path) -> N
     assert (again.scene.folder, again.runs_dir) == (str(folder), str(runs))
 
 
+def test_a_path_without_blanks_is_typed_without_quotes(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(radius=30).export(tmp_path / "liver.stl")
+    settings = jobs_of(["task=view"])[0].settings
+    scene = replace(settings.scene, kind="folder", folder=str(tmp_path))
+    settings = replace(settings, scene=scene, runs_dir=str(tmp_path / "runs"))
+    line = command_line(settings, ViewerState(STATE.pose, settings.probe, settings.simulator), "task=render")
+    assert not {"'", '"'} & set(line.split("simulator.")[0]), line
+
+
 def test_a_sweep_keeps_the_pose_of_every_image_that_is_shown() -> None:
     views = SceneRenderer(BODY, STATE.pose[None]).render(STATE, Quality.full)
     assert views.target is not None

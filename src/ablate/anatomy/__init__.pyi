@@ -12,8 +12,11 @@ from .scene_folder import validate_scene_folder as validate_scene_folder
 from .scene_proposal import proposed_scene as proposed_scene
 from .site_grid import SiteGrid as SiteGrid
 from .site_grid import fetal_sites as fetal_sites
+from .structure_names import structure_names as structure_names
+from .structure_names import with_structures_as_tissues as with_structures_as_tissues
 from .tissue import Tissue as Tissue
 from .tissue import TissueKind as TissueKind
 from .tissue import echogenicity_order as echogenicity_order
 from .tissue import load_tissues as load_tissues
+from .volumes.ends import is_behind_walls as is_behind_walls
 from .volumes.label_map import LABELS_VERSION as LABELS_VERSION

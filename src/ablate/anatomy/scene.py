@@ -60,6 +60,8 @@ class Scene:
         the identity unless the scene is one that was `moved`.
     guessed : str
         What was guessed of its tissues, for whoever sees its first picture; empty where nothing was.
+    end_walls : tuple of (4, 4) float64
+        Where structures are closed because the volume ends that they were made from, as `volumes.ends.end_walls`.
 
     Examples
     --------
@@ -77,6 +79,7 @@ class Scene:
     name: str
     body: np.ndarray = field(default_factory=partial(np.eye, 4), compare=False, repr=False)
     guessed: str = field(default="", compare=False, repr=False)
+    end_walls: tuple[np.ndarray, ...] = field(default=(), compare=False, repr=False)
     looked_at: bool = field(default=False, init=False, compare=False, repr=False)  # whether `warn_of_overlaps` did
 
     def __post_init__(self) -> None:
@@ -93,7 +96,9 @@ class Scene:
             mesh = structure.mesh.copy()
             mesh.apply_transform(motion)
             structures.append(Structure(mesh, structure.tissue))
-        return replace(self, structures=tuple(structures), body=np.asarray(motion, np.float64) @ self.body)
+        walls = tuple(wall @ np.linalg.inv(motion) for wall in self.end_walls)
+        body = np.asarray(motion, np.float64) @ self.body
+        return replace(self, structures=tuple(structures), body=body, end_walls=walls)
 
     @cached_property
     def tissues(self) -> tuple[Tissue, ...]:

@@ -82,7 +82,8 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     for name in sorted({str(name) for name in content.get("tissues") or ()} - used):
         if near := [other for other in used if other.casefold() == name.casefold()]:
             raise ValueError(f"{path}: tissues.{name}: nothing here is made of it; did you mean {near[0]}?")
-    names = [*(name for name, _ in of_labels), *(mesh.name for mesh, _ in meshes)]
+    names = {name: name for name in (*(name for name, _ in of_labels), *(mesh.name for mesh, _ in meshes))}
+    names |= {f"label {label.number}": label.name for label in labels.labels if label.tissue} if labels else {}
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
     return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)
 
@@ -111,10 +112,13 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
     if structures:
         _check_unit(scene, checked.mm_per_unit, f"{path}: unit")
     if checked.labels:
+        from ablate.anatomy.volumes.ends import end_walls
         from ablate.anatomy.volumes.labelled_structures import labelled_structures
 
-        structures = (*labelled_structures(checked.labels, f"{path}: labels", cache_dir), *structures)
-        scene = Scene(structures, checked.background, checked.name, guessed=checked.labels.guessed)
+        labelled = labelled_structures(checked.labels, f"{path}: labels", cache_dir)
+        walls, guessed = end_walls(labelled, checked.labels.volume), checked.labels.guessed
+        structures = (*labelled, *structures)
+        scene = Scene(structures, checked.background, checked.name, guessed=guessed, end_walls=walls)
     warn_of_overlaps(scene)
     return scene
 
@@ -174,24 +178,29 @@ def _check_unit(scene: Scene, mm_per_unit: float, where: str) -> None:
 
 
 def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
-    """The built-in table with the file's own tissues added or changed."""
+    """The built-in table with the file's own tissues added or changed, each from the one that it is `like`."""
     tissues = load_tissues()
     if not isinstance(content, Mapping):
         raise values.refusal(f"{path}: tissues", content, "mappings of names to their values")
     for name, entry in content.items():
-        changes = values.mapping(entry or {}, f"{path}: tissues.{name}", TISSUE_KEYS)
+        where = f"{path}: tissues.{name}"
+        changes = dict(values.mapping(entry or {}, where, ("like", *TISSUE_KEYS)))
+        begun = tissues.get(name)
+        if "like" in changes:
+            begun = tissues[values.one_of(changes.pop("like"), tissues, f"{where}.like")]
         with naming(f"{path}: tissues: "):
-            tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
+            tissues[name] = replace(begun, name=name, **changes) if begun else Tissue(name, **changes)
     return tissues
 
 
-def _sites(content: Any, where: str, mm_per_unit: float, structures: list[str]) -> SiteGrid:
+def _sites(content: Any, where: str, mm_per_unit: float, structures: Mapping[str, str]) -> SiteGrid:
+    """The probe sites; `structures` are the names of structures by what they may be called here."""
     lists: dict[str, Any] = {}
     for key, value in values.mapping(content, where, SITE_KEYS).items():
         key_where = f"{where}.{key}"
         if key == "region":
             names = value if isinstance(value, list) else [value]
-            lists[key] = tuple(values.one_of(name, structures, key_where) for name in names)
+            lists[key] = tuple(structures[values.one_of(name, structures, key_where)] for name in names)
         elif key in ("axis", "front"):
             lists[key] = values.numbers(value, key_where, 3)
         elif key == "heights":

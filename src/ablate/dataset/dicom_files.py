@@ -12,6 +12,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.sr.codedict import codes
 from pydicom.uid import ExplicitVRLittleEndian, UltrasoundImageStorage, UltrasoundMultiFrameImageStorage, generate_uid
 
+from ablate.dataset.classes import Classes
 from ablate.dataset.pairs import Pairs
 from ablate.ultrasound import SIMULATOR_VERSION
 
@@ -32,7 +33,7 @@ _UTF_8 = "ISO_IR 192"
 _FRAME_TIME = 0x00181063  # the tag of what tells frames of a cine apart
 
 
-def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = False) -> None:
+def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, classes: Classes, imported: bool = False) -> None:
     """A file a frame, and in `segmentation` its labels as DICOM SEG; of `imported` ones it is not said who made them.
 
     UIDs are numbers from the name of the data set, which has its hash, the frame and its pixels: they stay the same.
@@ -40,16 +41,18 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = Fal
     Parameters
     ----------
     pairs : Pairs
-        Their targets and labels are written.
+        Their targets are written.
     folder : Path
         Of the files; those of SEG lie in `segmentation` there.
     pixel_mm : Size
         Height and width of a pixel.
+    classes : Classes
+        What the segments are.
     imported : bool
         Whether another program made the images.
     """
     (folder / "segmentation").mkdir(parents=True, exist_ok=True)
-    segments = [_segment(number, name, imported) for number, name in enumerate(pairs.tissues, start=1)]
+    segments = [_segment(number, name, imported) for number, name in enumerate(classes.names, start=1)]
     for frame in range(len(pairs)):
         name = f"frame{frame:05d}.dcm"
         shown = pairs.stored("target", frame)
@@ -61,7 +64,7 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size, imported: bool = Fal
         pydicom.dcmwrite(folder / name, image, enforce_file_format=True)
         segmentation = Segmentation(
             source_images=[image],
-            pixel_array=pairs.stored("segmentation", frame),
+            pixel_array=classes.labels(frame),
             segmentation_type=SegmentationTypeValues.BINARY,
             segment_descriptions=segments,
             series_instance_uid=_uid(pairs.folder.name, "segmentations"),
@@ -154,7 +157,7 @@ def _region(mask: np.ndarray, pixel_mm: Size) -> Dataset:
 
 
 def _segment(number: int, tissue: str, imported: bool) -> SegmentDescription:
-    """A tissue as a segment, with a code of our own: its name, or a digest of one that is long or not ASCII."""
+    """A class as a segment, with a code of our own: its name, or a digest of one that is long or not ASCII."""
     name = _text(tissue) or f"label {number}"
     plain = name == tissue and name.isascii() and len(name) <= 16  # DICOM's limit
     code = name if plain else hashlib.sha256(tissue.encode()).hexdigest()[:16]

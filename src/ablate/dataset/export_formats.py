@@ -1,14 +1,18 @@
 """Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import yaml
 from skimage.color import hsv2rgb
+from skimage.io import imread
 from skimage.transform import resize
 from skimage.util import montage
 
@@ -18,6 +22,9 @@ from ablate.dataset.png_folder import FOLDERS
 from ablate.dataset.png_tables import fan_values
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
+
+if TYPE_CHECKING:
+    from ablate.dataset.classes import Classes  # which loads the simulator
 
 _THUMBNAIL_PX = 320
 _PER_PART = 8  # frames on the contact sheet
@@ -73,24 +80,26 @@ def write_png(pairs: Pairs, folder: Path, tissues: Sequence[Tissue]) -> None:
         write_text(folder / "fan.yaml", yaml.safe_dump(fan_values(pairs.probe), sort_keys=False))
 
 
-def write_nnunet(pairs: Pairs, folder: Path) -> None:
+def write_nnunet(pairs: Pairs, folder: Path, classes: Classes) -> None:
     """Images and segmentations: test frames in imagesTs and labelsTs, all others in imagesTr and labelsTr.
 
     Classes are those that occur, numbered one after another, as nnU-Net wants them. `splits_final.json` holds one fold,
     the validation frames of the study; nnU-Net reads it in its folder of preprocessed data.
     """
-    occurring = {0}
-    for frame in range(len(pairs)):
-        occurring.update(np.unique(pairs.stored("segmentation", frame)).tolist())
-    labels = sorted(occurring)
     ends = ["Ts" if part == Part.test else "Tr" for part in pairs.split]
     for kind, end in product(("images", "labels"), set(ends)):
         (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
-    for frame, end in enumerate(ends):
-        classes = np.searchsorted(labels, pairs.stored("segmentation", frame)).astype(np.uint8)
+    files = [folder / f"labels{end}" / f"{_name(frame)}.png" for frame, end in enumerate(ends)]
+    occurring = {0}
+    for frame, (end, file) in enumerate(zip(ends, files, strict=True)):
         write_image(folder / f"images{end}" / f"{_name(frame)}_0000.png", pairs.stored("target", frame))
-        write_image(folder / f"labels{end}" / f"{_name(frame)}.png", classes)
-    names = ("background", *pairs.tissues)
+        segmentation = classes.labels(frame)
+        write_image(file, segmentation)
+        occurring.update(np.unique(segmentation).tolist())
+    labels = sorted(occurring)
+    for file in files:  # numbered anew, now that it is known which occur
+        write_image(file, np.searchsorted(labels, imread(file)).astype(np.uint8))
+    names = ("background", *(name.replace(" ", "_") for name in classes.names))
     about = {
         "channel_names": {"0": "ultrasound"},
         "labels": {name: number for number, name in enumerate(_class_names(names, labels))},

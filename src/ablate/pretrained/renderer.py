@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ablate import dataset
-from ablate.anatomy import Tissue
+from ablate.anatomy import Tissue, load_tissues
 from ablate.networks import Generator, GeneratorSpec, Space, conditions, read_stored, stored_generator
 from ablate.pretrained.other_settings import trained_with
 from ablate.setting import plain
@@ -163,7 +163,8 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
         content: dict[str, Any] = read_stored(path)
         target = dict(content["spec"]).get("target")
         check_named(path, target, custom, "custom")
-        return _renderer_of(content)
+        renderer = _renderer_of(content)
+        return _with_newer_tissues(renderer) if name in NAMES else renderer
     except UnnamedCodeError:
         raise
     except Exception as error:
@@ -180,6 +181,21 @@ def _renderer_of(content: Mapping[str, Any]) -> Renderer:
         simulator=SimulatorSettings(**content["simulator"]),
         made=content["made"],
     )
+
+
+def _with_newer_tissues(renderer: Renderer) -> Renderer:
+    """The renderer with values for tissues that came into the built-in table after its training.
+
+    A new tissue is read as its own properties or, where labels are read by their order, as the next darker one that was
+    trained on.
+    """
+    table = list(load_tissues().values())
+    own = values_of(table, dataset.label_values(table, dataset.Encoding.properties))
+    values, darker = dict(renderer.values), renderer.values[OUTSIDE]
+    for tissue in table:
+        darker = renderer.values.get(tissue.name, darker)
+        values.setdefault(tissue.name, own[tissue.name] if len(own[tissue.name]) == len(darker) else darker)
+    return replace(renderer, values=values)
 
 
 def save(renderer: Renderer, path: Path) -> None:

@@ -73,6 +73,13 @@ class ExportFormat(StrEnum):
     dicom = "dicom"
 
 
+class ClassesBy(StrEnum):
+    """Classes of an exported segmentation: `structures` by the scene's names of them; `tissues` as in S."""
+
+    structures = "structures"
+    tissues = "tissues"
+
+
 @dataclass(frozen=True)
 class SceneSettings(Checked):
     """Which anatomy."""
@@ -110,6 +117,11 @@ class DatasetSettings(Checked):
     )
     format: ExportFormat = setting(
         ExportFormat.png, "What `task=export` writes; with `dicom`, also a cine of `task=render`.", incidental=True
+    )
+    classes: ClassesBy = setting(
+        ClassesBy.structures,
+        "Classes of the segmentations that `task=export` writes; of `png` always tissues.",
+        incidental=True,
     )
 
     def __post_init__(self) -> None:

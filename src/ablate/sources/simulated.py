@@ -12,6 +12,7 @@ from tqdm import tqdm
 from ablate import dataset
 from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset import Dropped, Part, Placement, Recipe
+from ablate.dataset.cut_frames import cut_frames
 from ablate.dataset.motion import MOVED_FOLDER, Motion, moved_frames, moved_poses
 from ablate.dataset.own_poses import near_training
 from ablate.networks import Attenuation, Space
@@ -153,6 +154,8 @@ def simulate_data(
         left_out.append(f"{lacking} of {asked} frames asked for: there are no more poses")
     if near := near_training(layout.poses, layout.split, settings.probe):
         left_out.append(f"nothing, but {near}; frames that look alike need one site")
+    if cut := cut_frames(scene, settings.probe, layout.poses):
+        left_out.append(f"nothing, but {cut}")
     if scene.guessed:
         left_out.append(f"nothing, but tissues are guessed: {scene.guessed}")
     tqdm.write(f"Simulating pairs into {folder}")

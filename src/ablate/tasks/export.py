@@ -10,9 +10,10 @@ import numpy as np
 from jinja2 import Template
 
 from ablate.dataset import Part
+from ablate.dataset.classes import Classes, by_structure, by_tissue
 from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.extras import installing
-from ablate.settings.study import ConfigurationError, ExportFormat, StudySettings, refusing
+from ablate.settings.study import ClassesBy, ConfigurationError, ExportFormat, StudySettings, refusing
 from ablate.sources.data_set import DataSet, maps_needed
 from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
@@ -41,15 +42,19 @@ def export(jobs: Sequence[Job]) -> int:
     folder = settings.results / "export" / f"{data.name}-{chosen}"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "README.md").unlink(missing_ok=True)  # written last: a folder without it is not finished
+    is_by_structure = settings.dataset.classes is ClassesBy.structures and not imported
+    classes = by_tissue(pairs)
+    if is_by_structure and chosen is not ExportFormat.png:
+        classes = by_structure(pairs, source_of(settings).scene()[0])
     if chosen is ExportFormat.png:
         write_png(pairs, folder, data.tissues)
     elif chosen is ExportFormat.nnunet:
-        write_nnunet(pairs, folder / f"Dataset001_{settings.scene_name.replace(' ', '_')}")
+        write_nnunet(pairs, folder / f"Dataset001_{settings.scene_name.replace(' ', '_')}", classes)
     else:
         from ablate.dataset.dicom_files import write_dicom
 
-        write_dicom(pairs, folder, pixel_size_mm(pairs.probe or settings.probe, pairs.shape), imported)
-    write_text(folder / "README.md", _card(settings, data))
+        write_dicom(pairs, folder, pixel_size_mm(pairs.probe or settings.probe, pairs.shape), classes, imported)
+    write_text(folder / "README.md", _card(settings, data, classes))
     print(folder)
     return 0
 
@@ -62,13 +67,14 @@ def check_dicom(chosen: ExportFormat) -> None:
         raise ConfigurationError(f"dataset.format=dicom: {needs}")
 
 
-def _card(settings: StudySettings, data: DataSet) -> str:
+def _card(settings: StudySettings, data: DataSet, classes: Classes) -> str:
     """A data card in Markdown."""
     pairs, about = data.pairs, data.about
     parts = ", ".join(f"{int((pairs.split == part).sum())} for {part.name}" for part in Part)
     made = {key: about[key] for key in ("scene", "probe", "simulator", "simulator_version", "dataset") if key in about}
     card = Template(files("ablate.tasks").joinpath("card.md.jinja").read_text("utf-8"), keep_trailing_newline=True)
     about_frames = {"parts": parts, "sites": len(np.unique(pairs.sites)), "made": json.dumps(made, indent=2)}
+    about_frames |= {"names": classes.names}
     imported = not source_of(settings).has_scene
     probe = pairs.probe if imported else pairs.probe or settings.probe
     pixel = pixel_size_mm(probe, pairs.shape) if probe else None

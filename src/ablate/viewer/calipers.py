@@ -41,6 +41,17 @@ def lines(points: np.ndarray) -> list[np.ndarray]:
     return [points[:2], points[2:], points.mean(axis=0) + (np.cos(turn) * along + np.sin(turn) * normal) / 2]
 
 
+def values(points: np.ndarray) -> list[tuple[np.ndarray, str]]:
+    """What points of the image plane, (n, 2) mm, measure, each value with the point that it is written beside."""
+    if len(points) == 2:
+        return [(points[1], f"{math.dist(*points):.1f} mm")]
+    if len(points) == 3:
+        return [(points[1], f"{math.degrees(_angle(points)):.0f}°")]
+    if len(points) == MOST_POINTS:
+        return [(points[end], f"{math.dist(points[end - 1], points[end]):.1f} mm") for end in (1, 3)]
+    return []
+
+
 def measured(points: np.ndarray, tissue: str, probe: Probe) -> str:
     """The last point's `tissue` and depth, and what so many points measure, in Markdown; points are in the plane."""
     x, z = points[-1]

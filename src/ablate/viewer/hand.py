@@ -63,6 +63,11 @@ class Hand:
         along = np.stack(np.meshgrid(*corners.T), axis=-1).reshape(-1, 3) @ self.axis
         self.heights_mm = (float(along.min()), float(along.max()))
 
+    def take(self, probe: Probe, press_mm: float) -> None:
+        """Take another probe, which is pressed in by so much."""
+        self._probe = probe
+        self._press_mm = press_mm
+
     def place(self, hold: Hold) -> tuple[np.ndarray, str] | None:
         """Press the probe on the skin; None where the body has no skin at that height and angle.
 

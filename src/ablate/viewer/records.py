@@ -1,6 +1,7 @@
 """What is kept of a session: the last seconds, a sweep of the probe, single frames on disk, and command lines."""
 
 import json
+import re
 import shlex
 from collections import deque
 from collections.abc import Mapping
@@ -125,14 +126,19 @@ def command_line(settings: StudySettings, state: ViewerState, *words: str) -> st
     wanted = replace(settings, probe=state.probe, simulator=state.simulator)
     overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}", f"probe={wanted.probe.kind}"]
     if wanted.scene.folder:
-        overrides.append(f"scene.folder={quoted(Path(wanted.scene.folder).resolve())}")
+        overrides.append(f"scene.folder={_typed(Path(wanted.scene.folder).resolve())}")
     if wanted.runs_dir != StudySettings.runs_dir:
-        overrides.append(f"runs_dir={quoted(wanted.runs_dir)}")
+        overrides.append(f"runs_dir={_typed(wanted.runs_dir)}")
     changed: dict[str, str] = {}
     for _ in range(2):  # what follows from a value that is not given, as the pulse from the depth, differs only then
         composed = job_of([*overrides, *_assignments(changed), "task=describe"]).settings
         changed |= _differing(wanted, composed)
     return shlex.join(["python", "-m", "ablate", *words, *overrides, *_assignments(changed)])
+
+
+def _typed(path: object) -> str:
+    """A path as it is typed behind `key=`; in quotes only where Hydra would read it as something else."""
+    return str(path) if re.fullmatch(r"[A-Za-z0-9_./-]*[A-Za-z/][A-Za-z0-9_./-]*", str(path)) else quoted(path)
 
 
 def _assignments(values: Mapping[str, str]) -> list[str]:

@@ -132,6 +132,13 @@ class Session:
         self.words = self.hand.judge(pose)
         self._become(replace(self.state, pose=pose, hold=self.hold))
 
+    def take(self, probe: Probe, simulator: SimulatorSettings, press_mm: float) -> None:
+        """Take another probe, with the settings of its own that reset goes back to; its face is pressed in anew."""
+        self.hand.take(probe, press_mm)
+        self.start = replace(self.start, probe=probe, simulator=simulator)
+        pose, self.words = self.hand.place(self.hold) or (self.state.pose, OFF_BODY)
+        self._become(replace(self.state, probe=probe, simulator=simulator, pose=pose, hold=self.hold))
+
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # keys of its kind

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ablate.anatomy import Scene, SiteGrid
+from ablate.anatomy import Scene, SiteGrid, structure_names
 from ablate.dataset import equally_spaced, place_probe, read_poses
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.simulated import training_poses
@@ -22,16 +22,17 @@ from ablate.study.job import Job
 from ablate.ultrasound import TimeGain
 from ablate.viewer.generators import first_fitting, pickable
 from ablate.viewer.hand import Hand
+from ablate.viewer.page.browser import add_script, widths
 from ablate.viewer.page.operate_tabs import add_hands, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
 from ablate.viewer.page.result_tabs import add_compare_tab, add_keep_tab
+from ablate.viewer.page.view_tab import add_view_tab
 from ablate.viewer.scene_renderer import SceneRenderer
 from ablate.viewer.server import HOST, check_server, open_server
 from ablate.viewer.session import Session, ViewerState
 from ablate.viewer.worker import Worker
 
-_CONTROLS_PX = 290  # widths, for a window of 1366 px
-_IMAGES_PX = 640
+_WINDOW_PX = 1366  # until the browser has told its own
 _MOST_SITES = 60  # of a list that can be searched by eye
 
 
@@ -91,10 +92,12 @@ class Viewer:
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.set_panel_label(f"ablate: {page.settings.scene_name}")
         add_row(page)
+        add_script(gui, page.does, lambda place, shift: page.image_clicked(place, shift), self._fit)
         tabs = gui.add_tab_group()
         contents: dict[str, Callable[[Page], None]] = {
             "Move": add_move_tab,
             "Scan": add_scan_tab,
+            "View": add_view_tab,
             "Compare": partial(add_compare_tab, runs=runs),
             "Keep": add_keep_tab,
         }
@@ -103,10 +106,15 @@ class Viewer:
                 add_content(page)
         add_hands(page)
         gui.main_panel.dock_left()
-        gui.main_panel.set_width(_CONTROLS_PX)
         page.images.dock_right()
-        page.images.set_width(_IMAGES_PX)
+        self._fit(_WINDOW_PX)
         page.refresh()
+
+    def _fit(self, window_px: float) -> None:
+        """Divide the width of a window between the controls, the body and the images."""
+        controls, images = widths(window_px)
+        self.server.gui.main_panel.set_width(controls)
+        self.page.images.set_width(images)
 
     def close(self) -> None:
         """Stop the server, the worker and the thread that draws."""
@@ -175,8 +183,9 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -
     placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)
     named: dict[str, np.ndarray] = {}
     structures_of: Counter[str] = Counter()
-    for structure in sorted(scene.structures, key=lambda s: -abs(s.mesh.volume))[1:_MOST_SITES]:
-        name = Path(str(structure.mesh.metadata.get("name", structure.tissue.name))).stem.replace("_", " ")
+    called = zip(scene.structures, structure_names(scene), strict=True)
+    for structure, called_so in sorted(called, key=lambda one: -abs(one[0].mesh.volume))[1:_MOST_SITES]:
+        name = called_so.replace("_", " ")
         parts = structure.mesh.split(only_watertight=False)  # one kidney of two, not what lies between them
         pose = hand.aim(max(parts, key=attrgetter("area")).centroid, grid.angles_deg)
         if pose is not None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ablate.anatomy import load_scene, proposed_scene, validate_scene_folder
+from ablate.anatomy import load_scene, proposed_scene, structure_names, validate_scene_folder
 from ablate.anatomy.volumes.label_map import numbered_classes
 from ablate.anatomy.volumes.label_names import names_beside, names_in_header
 from support.volumes import AFFINE, blocks, save, save_named
@@ -124,8 +124,8 @@ def test_every_label_has_the_tissue_of_its_name_whatever_its_number(
         proposed(tmp_path)
     found = list(tissues(tmp_path).values())
     expected = {
-        "aorta": "blood", "inferior_vena_cava": "blood", "pancreas": "soft_tissue", "small_bowel": "stomach_wall",
-        "vertebrae": "bone", "spinal_cord": "brain", "lung_left": "gas", "urinary_bladder": "urine",
+        "aorta": "blood", "inferior_vena_cava": "blood", "pancreas": "pancreas", "small_bowel": "bowel_wall",
+        "spleen": "spleen", "vertebrae": "bone", "spinal_cord": "brain", "lung_left": "gas", "urinary_bladder": "urine",
     }  # fmt: skip
     assert {n: found[classes.index(n)] for n in expected if n in classes} == {
         n: tissue for n, tissue in expected.items() if n in classes
@@ -133,6 +133,20 @@ def test_every_label_has_the_tissue_of_its_name_whatever_its_number(
     labels = validate_scene_folder(tmp_path).labels
     assert labels is not None
     assert not labels.guessed
+
+
+def test_a_structure_is_called_as_the_volume_calls_its_label_and_found_by_its_number(tmp_path: Path) -> None:
+    save_named(tmp_path / "seg.nii.gz", blocks([1, 2, 3, 4]), {1: "spleen", 2: "lesion", 3: "lesion"})
+    named = {1: "spleen", 2: "liver", 3: "liver", 4: "kidney"}
+    sites = {"axis": [0, 0, 1], "heights": [110], "angles": [0], "region": ["label 1"]}
+    content = {"labels": {"file": "seg.nii.gz", "tissues": named}, "sites": sites}
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(content))
+    scene = load_scene(tmp_path)
+    assert [s.mesh.metadata["name"] for s in scene.structures] == ["spleen", "lesion 2", "lesion 3", "label 4"]
+    assert structure_names(scene) == ["spleen", "lesion 2", "lesion 3", "kidney (label 4)"]
+    folder = validate_scene_folder(tmp_path)
+    assert folder.sites is not None
+    assert folder.sites.region == ("spleen",)
 
 
 def test_a_name_that_is_no_class_of_the_table_is_refused_by_its_label(tmp_path: Path) -> None:

@@ -12,11 +12,11 @@ from typing import Any
 
 from ablate.anatomy.scene_values import file_named, mapping, number, one_of, refusal
 from ablate.anatomy.tissue import Tissue
-from ablate.anatomy.volumes.label_names import names_in_header
+from ablate.anatomy.volumes.label_names import names_beside, names_in_header
 from ablate.anatomy.volumes.volume_file import SUFFIXES, VolumeFile, check_volume
 from ablate.setting import shown
 
-LABELS_VERSION = 3  # of the surfaces that are made from labels: raised when they change
+LABELS_VERSION = 4  # of the structures that are made from labels: raised when their surfaces, names or tissues change
 TABLE = "totalsegmentator"  # its classes, of which the numbered ones are those of version 2, task `total`
 LARGEST_LABEL = 65_535
 MOST_STRUCTURES = 254  # they are counted in 8 bits, with the body
@@ -103,7 +103,7 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
         if named == TABLE:
             labels, guessed = _classes(volumes[0].path, tissues, f"{where}.tissues")
         else:
-            labels = _labels(named, tissues, f"{where}.tissues")
+            labels = _labels(named, tissues, volumes[0].path, f"{where}.tissues")
     body = None
     if content.get("body"):
         own, key = mapping(content["body"], f"{where}.body", ("file", "above", "tissue")), f"{where}.body"
@@ -156,18 +156,29 @@ def _classes(path: Path, tissues: Mapping[str, Tissue], where: str) -> tuple[tup
     return tuple(Label(n, called[n], tissues[one_of(classes[n][1], tissues, where)]) for n in sorted(classes)), ""
 
 
-def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Label, ...]:
+def _labels(named: Any, tissues: Mapping[str, Tissue], path: Path, where: str) -> tuple[Label, ...]:
+    """The labels of `{number: tissue}`, called as the volume or a table beside it calls them."""
     if not isinstance(named, Mapping) or not named:
         raise refusal(where, named, f"{TABLE}, or mappings of labels to tissues")
+    names = names_in_header(path) or names_beside(path, [label for label in named if isinstance(label, int)])[0]
     labels = []
     for label, name in named.items():
         if not isinstance(label, int) or isinstance(label, bool) or not 1 <= label <= LARGEST_LABEL:
             raise refusal(f"{where}: label", label, f"whole numbers from 1 to {LARGEST_LABEL}")
         tissue = None if name is None else tissues[one_of(name, tissues, f"{where}.{label}")]
-        labels.append(Label(label, f"label {label}", tissue))
+        labels.append(Label(label, _called(label, names), tissue))
     if sum(label.tissue is not None for label in labels) > MOST_STRUCTURES:
         raise ValueError(f"{where}: {len(labels)} labels; allowed are at most {MOST_STRUCTURES}")
     return tuple(labels)
+
+
+def _called(label: int, names: Mapping[int, str]) -> str:
+    """What a label is called; those that share a name have their number, too, and so has one that is called `body`."""
+    name = names.get(label)
+    if name is None:
+        return f"label {label}"
+    is_alone = list(names.values()).count(name) == 1 and name != "body"
+    return name if is_alone else f"{name} {label}"
 
 
 def numbered_classes() -> list[tuple[int, str, str]]:

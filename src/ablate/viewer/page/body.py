@@ -19,6 +19,9 @@ _TRIANGLES = 60_000  # of all structures together: a browser without a graphics 
 _FEWEST = 200  # of one structure
 _LARGE = 0.1  # of the box around the scene: what fills more of it surrounds the rest
 _ENVELOPE = 0.1  # opacity of what surrounds the rest, at first
+_NEAR = 0.01  # viser's own, of its space: what is nearer to the camera is not drawn
+_BEFORE_FAN_MM = 1.0  # so that the fan itself is drawn
+_FACES = 0.99  # cosine between a camera that faces the plane and the plane's normal
 _HOUSING = (69, 77, 92)
 _MARK = (44, 160, 44)
 _OUTLINE = (255, 176, 0)
@@ -52,6 +55,10 @@ class Body:
     ) -> None:
         self._scene = server.scene
         self._probe = None
+        self._held = np.eye(4)
+        self._facing: dict[int, tuple[Any, np.ndarray]] = {}  # browsers whose camera faces the plane, and its normal
+        server.on_client_connect(self._watch)
+        server.on_client_disconnect(lambda client: self._facing.pop(client.client_id, None))
         bounds = bounds_mm(s.mesh for s in scene.structures)
         away = front + 0.55 * np.cross(axis, front) + 0.35 * axis
         away *= 1.7 * float(np.linalg.norm(np.ptp(bounds, axis=0))) / np.linalg.norm(away)
@@ -73,6 +80,9 @@ class Body:
         """Put the probe where it is held, before there is an image of it."""
         if state.probe != self._probe:
             self._add_probe(state.probe)
+        if not np.array_equal(state.pose, self._held):
+            self._uncut()
+        self._held = state.pose
         self._frame.position = state.pose[:3, 3] / _UNIT_MM
         self._frame.wxyz = Rotation.from_matrix(state.pose[:3, :3]).as_quat(scalar_first=True)
 
@@ -99,17 +109,38 @@ class Body:
         return 1.0 if opacity is None else float(opacity)
 
     def face(self, client: Any, state: ViewerState) -> None:
-        """Turn a browser's camera so that the fan is seen as the image is."""
+        """Turn a browser's camera so that the fan is seen as the image is, with nothing before it.
+
+        What lies before the plane is drawn again when the probe or the camera moves.
+        """
         pose = state.pose
         height, width = fan_of(state.probe).size_mm
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
         share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
         away = 1.1 * max(height / share, width / (share * max(client.camera.aspect, 0.1)))
-        _look(client, middle + away * pose[:3, 1], middle, -pose[:3, 2])
+        _look(client, middle + away * pose[:3, 1], middle, -pose[:3, 2], nearest=away - _BEFORE_FAN_MM)
+        self._facing[client.client_id] = client, pose[:3, 1]
 
     def face_body(self, client: Any) -> None:
         """Turn a browser's camera back to the body's front."""
         _look(client, *self._front_view)
+        self._facing.pop(client.client_id, None)
+
+    def _watch(self, client: Any) -> None:
+        """Draw what lies before the plane again when a browser's camera no longer faces it."""
+
+        def moved(camera: Any) -> None:
+            _, normal = self._facing.get(client.client_id, (None, None))
+            away = camera.position - camera.look_at
+            if normal is not None and away @ normal < _FACES * np.linalg.norm(away):
+                self._uncut()
+
+        client.camera.on_update(moved)
+
+    def _uncut(self) -> None:
+        for client, _ in self._facing.values():
+            client.camera.near = _NEAR
+        self._facing.clear()
 
     def _add_probe(self, probe: Probe) -> None:
         self._probe = probe
@@ -135,8 +166,10 @@ class Body:
         self.fan.on_click(self._click)
 
 
-def _look(client: Any, position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> None:
+def _look(client: Any, position: np.ndarray, look_at: np.ndarray, up: np.ndarray, nearest: float = 0.0) -> None:
+    """Move a browser's camera; what is nearer to it than `nearest`, mm, is not drawn."""
     with client.atomic():
+        client.camera.near = max(_NEAR, nearest / _UNIT_MM)
         client.camera.position = position / _UNIT_MM  # takes look_at with it, which is set after it therefore
         client.camera.look_at = look_at / _UNIT_MM
         client.camera.up_direction = up

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ablate.command.compose import job_of
+from ablate.settings.conf import conf_folder
 from ablate.ultrasound import Display, PhasedProbe, Probe, SimulatorSettings
 from ablate.viewer.page.page import Bounds, Page
 from ablate.viewer.session import MOST_TURNED_DEG, Moving, Quality, Views
@@ -35,6 +37,7 @@ _HINTS = (
 )
 _TGC_SLIDERS = 5
 _ANGLES = (1, 3, 5, 7)
+_FIRST_PROBE = "as started"
 
 
 def add_row(page: Page) -> None:
@@ -116,6 +119,25 @@ def add_hands(page: Page) -> None:
     page.body.grabbed = page.in_turn(grab)
 
 
+def _add_probes(page: Page) -> None:
+    """Add a list of probes, each with the pulse and the depth of its own file."""
+    session, settings = page.session, page.settings
+    first = session.start
+    names = sorted(path.stem for path in (conf_folder() / "probe").glob("*.yaml"))
+    taken = page.server.gui.add_dropdown(
+        "Probe", (_FIRST_PROBE, *names), hint="another one is pressed on the skin in its place"
+    )
+
+    def take(name: str) -> None:
+        if name == _FIRST_PROBE:
+            session.take(first.probe, first.simulator, settings.dataset.press_mm)
+        else:
+            composed = job_of([f"preset={settings.preset}", f"probe={name}", "task=describe"]).settings
+            session.take(composed.probe, composed.simulator, composed.dataset.press_mm)
+
+    taken.on_update(page.does(take))
+
+
 def add_scan_tab(page: Page) -> None:
     """Add sliders of the probe, of the simulator and of the picture."""
     session, gui = page.session, page.server.gui
@@ -147,6 +169,7 @@ def add_scan_tab(page: Page) -> None:
     def set_dynamic_range(db: float) -> None:
         show(dynamic_range_db=db)
 
+    _add_probes(page)
     _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", probe, session.scan)
     _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", probe, session.scan)
     _add_slider(page, "Rays", (1, 64, 1), "rays", simulator, session.simulate)

@@ -26,6 +26,9 @@ _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwh
 class Page:
     """What all parts of the page share; it follows the session.
 
+    `image_clicked` is called with a place in the picture of all images, as shares of its width and height, and whether
+    Shift is held.
+
     Parameters
     ----------
     server : viser.ViserServer
@@ -37,6 +40,8 @@ class Page:
     session : Session
         What the operator has set.
     """
+
+    image_clicked: Callable[[tuple[float, float], bool], object]
 
     def __init__(self, server: Any, settings: StudySettings, scene: Scene, session: Session) -> None:
         self.server = server

@@ -7,25 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ablate.metrics import patch_chi2, psnr, rms
-from ablate.viewer.calipers import MOST_POINTS, in_plane, measured, on_plane
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
-from ablate.viewer.pictures import label_at
 from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save_frame, save_poses
 from ablate.viewer.session import Views
 from ablate.viewer.words import in_markdown
 
 _NONE = "none"
 _TRAINS = "No run with weights here. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
-_INVITES = "**Measure:** click the fan in the 3-D view: tissue, distance, angle, and with four clicks an ellipse."
 _LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
 
 
 def add_compare_tab(page: Page, runs: Path) -> None:
-    """Add two pickers of the generators in a folder, the difference, the numbers, and a way to measure."""
+    """Add two pickers of the generators in a folder, the difference, and the numbers."""
     session, gui = page.session, page.server.gui
     offered = pickable(runs)
     picked = tuple(name for name, folder in offered.items() if folder in session.state.runs)
@@ -62,7 +57,6 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     numbers = gui.add_markdown("")
     page.painters.append(lambda views: setattr(numbers, "content", _distances(page.layout.names, views)))
     name_runs()
-    _add_calipers(page)
 
 
 def _distances(names: Mapping[Path, str], views: Views) -> str:
@@ -76,40 +70,6 @@ def _distances(names: Mapping[Path, str], views: Views) -> str:
             rows.append(f"| {name} | {psnr_db:.1f} | {'–' if chi2 is None else f'{chi2:.3f}'} |")
     head = "| to the simulated image | PSNR in the fan (dB) | patch χ² |\n| --- | --- | --- |\n"
     return head + "\n".join(rows) if rows else ""
-
-
-def _add_calipers(page: Page) -> None:
-    """Measure between clicks on the fan."""
-    answer = page.server.gui.add_markdown(_INVITES)
-
-    def click(origin: np.ndarray, direction: np.ndarray) -> None:
-        views = page.shown
-        if views is None:
-            return
-        pose = views.state.pose
-        points = page.layout.points
-        if len(points) == MOST_POINTS or not len(in_plane(points, pose)):
-            points = np.empty((0, 3))
-        held = page.session.state.pose  # there the fan is drawn, also with a frozen frame of another place
-        point = pose @ np.linalg.inv(held) @ (*on_plane(held, origin, direction), 1)
-        page.lay_out(points=np.vstack([points, point[:3]]))
-
-    def clear() -> None:
-        answer.content = _INVITES
-        page.lay_out(points=np.empty((0, 3)))
-
-    def follow(views: Views) -> None:
-        points = in_plane(page.layout.points, views.state.pose)
-        if len(points):
-            label = label_at(views.segmentation, points[-1], views.state.probe)
-            tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
-            answer.content = measured(points, in_markdown(tissue), views.state.probe)
-        elif len(page.layout.points):
-            answer.content = "The points are not on this plane."
-
-    page.painters.append(follow)
-    page.body.clicked = page.in_turn(click)
-    page.add_button("Clear the points", clear)
 
 
 def add_keep_tab(page: Page) -> None:
@@ -142,6 +102,7 @@ def add_keep_tab(page: Page) -> None:
             answer.content = "Recording: every frame that is shown is a pose of the sweep."
         elif page.sweep is not None:
             sweep, page.sweep = page.sweep, None
+            answer.content = kept_in
             file = sweep.save(next_folder(page.folder, "sweep"))
             kept = f"{len(sweep)} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
             alike = "Poses beside each other look alike, so its test frames are not unseen sites (docs/anatomy.md)."
@@ -156,7 +117,8 @@ def add_keep_tab(page: Page) -> None:
     record = gui.add_checkbox("Record a sweep", initial_value=False, hint="move the probe, then switch it off")
     record.on_update(page.does(switch))
     _add_cine(page)
-    answer = gui.add_markdown(f"Everything is kept in `{page.folder}`.")
+    kept_in = f"Everything is kept in `{page.folder}`."
+    answer = gui.add_markdown(kept_in)
 
 
 def _add_cine(page: Page) -> None:
