@@ -108,7 +108,7 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
     runs = Counter((job.label.replace(".anatomy_seed-4", ""), job.settings.scene.anatomy_seed) for job in jobs)
     assert {anatomy for _, anatomy in runs} == {3, 4}
     assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
-    assert len(runs) == 2 * (1 + len(components())), "each component is switched off alone"
+    assert len(runs) == 2 * (1 + len(components("full_model"))), "each component is switched off alone"
     assert not untold_differences(jobs, "sa2h")
     orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
     assert len(orders) == 2, "an order of the labels for each seed"
@@ -125,7 +125,7 @@ def test_the_runs_beside_the_design_take_no_part_in_it() -> None:
     design = find_design({job.label: levels_of(job.identity) for job in jobs}, factors)
     assert design is not None
     assert set(design.cells.index) == {job.label for job in design_jobs}
-    assert len(design.factors) == len(components())
+    assert len(design.factors) == len(components("full_model"))
 
 
 def test_cells_of_a_study_take_more_keys() -> None:

@@ -394,7 +394,7 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, mo
     assert again() == before
     other_band = tuple(replace(component, band=1.0) for component in components())
     for changed, to in (("components", other_band), ("package_digest", "x")):  # another band, or other statistics
-        monkeypatch.setattr(f"ablate.study.compare.{changed}", lambda to=to: to)
+        monkeypatch.setattr(f"ablate.study.compare.{changed}", lambda *_, to=to: to)
         later = again()
         assert later > before, changed
         before = later

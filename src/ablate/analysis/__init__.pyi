@@ -1,5 +1,6 @@
 from .caution_texts import cautions as cautions
 from .components import Component as Component
+from .components import Question as Question
 from .components import with_undeclared as with_undeclared
 from .figures.boxplot_figure import boxplot_panels as boxplot_panels
 from .figures.chi2_maps_figure import chi2_maps_figure as chi2_maps_figure
@@ -19,7 +20,9 @@ from .leaderboard import to_text as to_text
 from .pictures import FramePictures as FramePictures
 from .report import write_report as write_report
 from .results import StudyResults as StudyResults
+from .scale import scale_length as scale_length
 from .scale import scale_table as scale_table
+from .scale import scaled_bands as scaled_bands
 from .scored import BASELINES as BASELINES
 from .scored import REFERENCE as REFERENCE
 from .scored import RESIMULATION as RESIMULATION

@@ -51,8 +51,8 @@ class Component:
     Raises
     ------
     ValueError
-        When the name cannot be part of a file name, the key is empty, the band or the share is not a finite number
-        above 0, or the question is none.
+        When the name cannot be part of a file name, the key is empty, or the band or the share is not a finite number
+        above 0.
     """
 
     name: str
@@ -89,8 +89,6 @@ class Component:
         for name, value in (("band", self.band), ("share", self.share)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueError(f"component {self.name}: {name}={value}: allowed are finite numbers above 0")
-        if self.question not in tuple(Question):
-            raise ValueError(f"component {self.name}: question={self.question}: allowed are {', '.join(Question)}")
         if not self.label:
             object.__setattr__(self, "label", self.key.rpartition(".")[2])
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_type_hints
 import yaml
 
 import ablate
-from ablate.analysis.components import Component
+from ablate.analysis.components import Component, Question
 from ablate.networks.spec import ExtraInput, GeneratorSpec, Noise, inputs
 from ablate.setting import Setting, check_values, is_group, naming, settings_of, shown
 from ablate.settings.study import StudySettings
@@ -21,7 +21,10 @@ from ablate.ultrasound.settings import PROBES, Probe, probe_from
 T = TypeVar("T")
 
 # The order of tables and figures; components that are not listed follow by name.
-_COMPONENTS = ("att", "concat", "conv", "noise", "depth", "encoding", "space", "position", "interfaces", "grain")
+_COMPONENTS = (
+    *("att", "concat", "conv", "noise", "lattice", "depth", "encoding", "properties", "space", "position"),
+    *("interfaces", "grain"),
+)
 CUSTOM = "custom"  # the variant that a user's network takes the place of
 #: Components that a network of the user's does not have, whatever its settings say.
 NOT_OF_CUSTOM = frozenset({"model.concat", "model.upsampling", "model.depth", "model.grain"})
@@ -114,32 +117,84 @@ def conf_folder() -> Path:
 
 
 @cache
-def components() -> tuple[Component, ...]:
-    """Read conf/component; a file that declares no usable component is a ValueError that names it."""
-    files = {path.stem: path for path in (conf_folder() / "component").glob("*.yaml")}
+def components(study: str = "") -> tuple[Component, ...]:
+    """The components of conf/component, or as they were registered for a study.
+
+    A file `conf/registered/<study>.yaml` names what was different: by component, the values that are others today, or
+    null where it was none.
+
+    Raises
+    ------
+    ValueError
+        When a file declares no usable component; it names the file.
+    """
+    folder = conf_folder() / "component"
+    files = {path.stem: path for path in folder.glob("*.yaml")}
     names = [*(name for name in _COMPONENTS if name in files), *sorted(files.keys() - set(_COMPONENTS))]
+    registered = conf_folder() / "registered" / f"{study}.yaml"
+    changes = _yaml(registered, "by component, what was registered") if registered.is_file() else {}
+    if unknown := sorted(changes.keys() - files.keys()):
+        raise ValueError(f"conf/registered/{study}.yaml: {unknown[0]} is no file of conf/component")
     known = keys()
     declared: list[Component] = []
     for name in names:
         where = f"conf/component/{name}.yaml"
-        values = yaml.safe_load(files[name].read_text("utf-8"))
-        if not isinstance(values, dict):
-            raise ValueError(f"{where}: holds no keys; needed are key, on and off")
-        read_as = {True: "on", False: "off"}  # by YAML
-        own: dict[str, Any] = {read_as.get(key, str(key)): value for key, value in values.items()}
+        own = _yaml(files[name], "key, on and off")
+        if name in changes:
+            if changes[name] is None:
+                continue
+            where = f"conf/registered/{study}.yaml: {name}"
+            if not isinstance(changes[name], dict):
+                raise ValueError(f"{where}={changes[name]}: allowed are null and values as in conf/component")
+            own |= _named_levels(changes[name])
         with naming(f"{where}: ", TypeError):
-            component = Component(name, **own | {"on": tuple(on) if isinstance(on := own.get("on"), list) else on})
+            levels_on = own.get("on")
+            own["on"] = tuple(levels_on) if isinstance(levels_on, list) else levels_on
+            own["question"] = _question(own.get("question", Question.earns))
+            component = Component(name, **own)
         if component.key not in known:
             raise ValueError(f"{where}: key={component.key} is no key of the configuration, such as model.noise")
-        if twins := [other.name for other in declared if other.key == component.key]:
-            raise ValueError(f"{where}: key={component.key} is declared by {twins[0]}.yaml; allowed is one file a key")
+        if twins := [other.name for other in declared if _compare_the_same(other, component)]:
+            same = f"{where}: key={component.key} is declared by {twins[0]}.yaml with the same levels"
+            raise ValueError(f"{same}; allowed is one file for two levels of a key")
         declared.append(component)
     return tuple(declared)
 
 
+def _yaml(path: Path, needed: str) -> dict[str, Any]:
+    values = yaml.safe_load(path.read_text("utf-8"))
+    if not isinstance(values, dict):
+        raise ValueError(f"conf/{path.parent.name}/{path.name}: holds no keys; needed are {needed}")
+    return _named_levels(values)
+
+
+def _named_levels(values: dict[Any, Any]) -> dict[str, Any]:
+    """The values with `on` and `off` as names, which YAML reads as true and false."""
+    read_as = {True: "on", False: "off"}
+    return {read_as.get(key, str(key)): value for key, value in values.items()}
+
+
+def _question(word: str) -> Question:
+    if word not in tuple(Question):
+        raise ValueError(f"question={word}: allowed are {', '.join(Question)}")
+    return Question(word)
+
+
+def _compare_the_same(one: Component, other: Component) -> bool:
+    """Whether two components of a key would be told by the same two levels."""
+    if one.key != other.key:
+        return False
+    if None in (one.on, one.off, other.on, other.off):
+        return True
+    return any(one.compares(level, other.off) for level in other.levels_on)
+
+
 def components_of_networks() -> dict[str, Component]:
-    """The components that a generator is made of, by the field's name; others are options of data or training."""
-    return {c.key.removeprefix("model."): c for c in components() if c.key.startswith("model.")}
+    """The components that a generator is made of, by the field's name; others are options of data or training.
+
+    Of several on one field it is the first, which switches it off.
+    """
+    return {c.key.removeprefix("model."): c for c in reversed(components()) if c.key.startswith("model.")}
 
 
 def named_components(spec: GeneratorSpec) -> dict[str, object]:

@@ -120,7 +120,7 @@ def _made_from(study: Study) -> dict[str, Any]:
     return {
         "runs": runs,
         "times": digest_of_files([study.folder / TIMES]),
-        "components": digest([repr(component) for component in components()]),
+        "components": digest([repr(component) for component in components(study.folder.name)]),
         "metrics": titles,
         "code": package_digest(),
         "study": study.folder.name,

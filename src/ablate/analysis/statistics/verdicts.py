@@ -51,6 +51,7 @@ _TYPES = {  # of the columns
     "ms_per_frame": "float64",
     "parameters": "float64",
     "question": "object",
+    "share": "float64",
     "error": "object",
     "why": "object",
 }
@@ -127,8 +128,8 @@ def verdict_table(
         the harm where the question is whether it saves, reaches the band), dof (of the error), full_effect,
         full_lower, full_upper (the effect with all others on, from the same model, if runs can tell it), least and
         most (what the rule compares with zero and with the band: the ends of two tests with Holm's correction, not of
-        an interval), ms_per_frame and parameters (what the component adds), question, error (an `ErrorOf`), and why it
-        is undecided. What the runs cannot tell is missing.
+        an interval), ms_per_frame and parameters (what the component adds), question, share (that the band is of the
+        scale), error (an `ErrorOf`), and why it is undecided. What the runs cannot tell is missing.
     """
     components = with_undeclared(components, [] if design is None else design.factors)
     model_of = cache(lambda metric: fitted(metric, means, design, components))
@@ -137,6 +138,7 @@ def verdict_table(
     table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "own", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     table["question"] = [str(c.question) for c in components]
+    table["share"] = [c.share for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
     dof = table["dof"].astype(float)
