@@ -4,6 +4,7 @@ from .components import Question as Question
 from .components import with_undeclared as with_undeclared
 from .figures.boxplot_figure import boxplot_panels as boxplot_panels
 from .figures.chi2_maps_figure import chi2_maps_figure as chi2_maps_figure
+from .figures.convergence_figure import convergence_figure as convergence_figure
 from .figures.forest_figure import forest_figure as forest_figure
 from .figures.preview_figure import preview_figure as preview_figure
 from .figures.qualitative_figure import frames_a_page as frames_a_page
