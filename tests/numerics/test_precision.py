@@ -77,7 +77,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert "left out, engine exported: needs what a test has not." in printed
     assert "With half of its" in printed
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
-    assert list(points.columns) == ["series", "setting", "ms", "metric", "error"]
+    assert list(points.columns) == ["series", "setting", "ms", "metric", "error", "worse_lower", "worse_upper"]
     assert (points["ms"] > 0).all()
     assert not points["error"].isna().any()
     assert not points.duplicated(["series", "setting", "metric"]).any()
@@ -294,7 +294,7 @@ def test_the_renderers_of_the_figure_are_named_and_those_that_know_the_scatterer
     errors = pd.DataFrame([(s, t, ms, "mae", e) for s, t, ms, e in points], columns=module.POINTS)
     rows = [(s, t, "mae", frame, e + frame) for s, t, _, e in points for frame in range(3)]
     worse = worse_than(pd.DataFrame(rows, columns=module.OF_FRAMES), "simulator, other scatterers", "rays 16")
-    shown = renderers(errors, worse, "rays 16")
+    shown = renderers(errors.merge(worse.drop(columns="worse"), "left", ["series", "setting", "metric"]), "rays 16")
     names = (shown["series"] + " " + shown["setting"]).str.removeprefix("simulator, other scatterers ").str.strip()
     simulated = ["re-simulation", "1 ray", "2 rays", "1 layer", "2 rays, 1 layer"]
     assert names.tolist() == [*simulated, "formula", "sa2h bf16", "sa2h fp32, image-space", "shipped sa2h bf16"]

@@ -6,27 +6,21 @@ import pandas as pd
 
 from ablate.analysis import RESIMULATION, convergence_figure, error_vs_runtime
 from ablate.analysis.figures.convergence_figure import SERIES, named_setting
-from ablate.analysis.figures.runtime_figure import WORSE_BOUNDS
 from ablate.metrics.metric import FORMULA
 from ablate.numerics.precision.bench import OTHER_SERIES
-from ablate.numerics.precision.errors import ENVELOPE, worse_than
+from ablate.numerics.precision.errors import ENVELOPE
 
-POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`
 #: A network's setting: width, precision, engine, seed, and another study than the one that asked.
 _WAY = r", (?P<precision>\w+), (?P<engine>\w+)(?:, seed (?P<seed>\d+))?(?:, (?P<study>.+))?$"
 
 
-def draw(
-    errors: pd.DataFrame, of_frames: pd.DataFrame, rays: int, folder: Path, machine: str
-) -> tuple[list[Path], dict[str, float]]:
+def draw(errors: pd.DataFrame, rays: int, folder: Path, machine: str) -> tuple[list[Path], dict[str, float]]:
     """Draw the convergence of the simulator, and the renderers that do not know the scatterers.
 
     Parameters
     ----------
     errors : DataFrame
-        Columns `POINTS`.
-    of_frames : DataFrame
-        Columns `OF_FRAMES`; without a row the intervals over frames are not known.
+        Columns `POINTS`, and `WORSE_BOUNDS` where they are known.
     rays : int
         Of the data set.
     folder : Path
@@ -42,21 +36,20 @@ def draw(
     usual = f"rays {rays}"
     resimulated = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == usual)]
     level = dict(zip(resimulated["metric"], resimulated["error"], strict=True))
-    points = renderers(errors, worse_than(of_frames, OTHER_SERIES, usual), usual)
     return [
         *convergence_figure(errors, folder / "precision", machine),
-        *error_vs_runtime(points, folder / "renderers", level, machine),
+        *error_vs_runtime(renderers(errors, usual), folder / "renderers", level, machine),
     ], level
 
 
-def renderers(errors: pd.DataFrame, worse: pd.DataFrame, usual: str) -> pd.DataFrame:
+def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
     """The renderers that do not know the scatterers, as `error_vs_runtime` draws them.
 
     Of a network they are the fastest engine and the first seed, in each precision; of the simulator the settings that
-    are no slower than those of the data set. `worse` is what `worse_than` gives, `usual` the setting of the data set.
+    are no slower than those of the data set, `usual`.
     """
     told = errors[~errors["series"].isin([*SERIES])]
-    told = told[told["metric"] != ENVELOPE].merge(worse.drop(columns="worse"), "left", ["series", "setting", "metric"])
+    told = told[told["metric"] != ENVELOPE]
     simulated = told[told["series"] == OTHER_SERIES]
     own = simulated[simulated["setting"] == usual]
     faster = simulated[(simulated["ms"] < own["ms"].min()) & (simulated["setting"] != usual)]
@@ -70,4 +63,4 @@ def renderers(errors: pd.DataFrame, worse: pd.DataFrame, usual: str) -> pd.DataF
     ranked = networks.assign(**ways, number=ways["seed"].astype(float).fillna(0.0)).sort_values(["number", "ms"])
     first = ranked.drop_duplicates(["series", "study", "precision", "metric"]).sort_index()
     first = first.assign(setting=first["precision"] + (", " + first["study"]).fillna(""))
-    return pd.concat([of_simulator, formula, first])[[*POINTS, *WORSE_BOUNDS]].reset_index(drop=True)
+    return pd.concat([of_simulator, formula, first])[errors.columns].reset_index(drop=True)

@@ -19,7 +19,8 @@ from ablate.numerics.precision.bench import (
     bench_of,
     measure_simulator,
 )
-from ablate.numerics.precision.figures import POINTS, draw
+from ablate.numerics.precision.errors import worse_than
+from ablate.numerics.precision.figures import draw
 from ablate.numerics.precision.generated import (
     comparable_runs,
     executions,
@@ -36,6 +37,7 @@ from ablate.study.provenance import hardware
 from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
+POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`, before those of intervals
 OF_FRAMES = ["series", "setting", "metric", "frame", "error"]  # of `frames.csv`
 DETAILS = ["table", "series", "setting", "quantity", "value"]  # and of `details.csv`
 BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
@@ -71,6 +73,8 @@ def precision(jobs: Sequence[Job]) -> int:
                 "frames": pd.DataFrame([row for part in parts for row in part.of_frames], columns=OF_FRAMES),
             }
             tables = {name: table.astype({"setting": str}) for name, table in tables.items()}
+            worse = worse_than(tables["frames"], OTHER_SERIES, f"rays {bench.simulator.rays}").drop(columns="worse")
+            tables["precision"] = tables["precision"].merge(worse, "left", ["series", "setting", "metric"])
             for path in _report(folder, bench, about, tables, view):
                 print(path)
     except KeyboardInterrupt:
@@ -101,7 +105,7 @@ def _report(
     for name, table in measured.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     errors, more = measured["precision"], measured["details"]
-    figures, level = draw(errors, measured["frames"], bench.simulator.rays, folder, hardware())
+    figures, level = draw(errors, bench.simulator.rays, folder, hardware())
     shown = tables(errors, more)
     head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
     print("\n".join([*head, "", as_text(shown), ""]))
