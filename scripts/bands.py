@@ -19,9 +19,11 @@ from scipy.optimize import brentq
 
 import ablate
 from ablate.analysis import scale_length
+from ablate.anatomy import TissueKind
 from ablate.command.compose import jobs_of
 from ablate.dataset import Part
 from ablate.evaluation import ImageSource, Scorer, formula_images, resimulation_images
+from ablate.evaluation.scorer import tissue_labels
 from ablate.metrics import METRICS, choose_metrics
 from ablate.metrics.structures import relative_attenuation, surface_band
 from ablate.networks import GeneratorSpec
@@ -79,8 +81,7 @@ def changes(data: DataSet, numbers: np.ndarray) -> dict[str, Change]:
     depth_mm, mask = pixel_polar(pairs.probe, pairs.shape)[0], pairs.mask()
     attenuation = pairs.read("attenuation", numbers)
     shadows = [np.nan_to_num(relative_attenuation(a, mask, depth_mm), nan=1.0) < 1 for a in attenuation]
-    bone = [label for label, tissue in enumerate(data.tissues, start=1) if tissue.name == "bone"]
-    bones = np.isin(pairs.read("segmentation", numbers), bone)
+    bones = np.isin(pairs.read("segmentation", numbers), tissue_labels(data.tissues, [TissueKind.bone]))
     pixel_mm = pixel_size_mm(pairs.probe, pairs.shape)
     surfaces = [surface_band(of_frame, depth_mm, pixel_mm) for of_frame in bones]
     field = gaussian_filter(np.random.default_rng(0).standard_normal(pairs.shape), SMOOTH_PX)
@@ -100,7 +101,7 @@ def grey(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.where(mask, np.clip(image + dither, 0, 255), 0).astype(np.uint8)
 
 
-def largest_change(worse_by: Callable[[float], float], most: float) -> float:
+def largest_change(worse_by: Callable[[float], float], most: float, name: str) -> float:
     """The amount, of either sign, at which a score is worse by 0 more than the band; the larger one.
 
     Raises
@@ -116,7 +117,7 @@ def largest_change(worse_by: Callable[[float], float], most: float) -> float:
         if end <= most:
             found.append(sign * brentq(lambda much, sign=sign: worse_by(sign * much), end / 2, end, xtol=1e-3 * end))
     if not found:
-        raise ValueError(f"no change up to {most:g} is worse by the band")
+        raise ValueError(f"{name}: no change up to {most:g} is worse by the band")
     return max(found, key=abs)
 
 
@@ -147,7 +148,7 @@ def judged(metric: str, share: float, images: np.ndarray, change: Change, data: 
     formula, best = score(formula_images(data.tissues, pairs, spec)), score(resimulation_images(pairs))
     band = share * scale_length(metric, formula, best)
     here = of_network(0.0)
-    much = largest_change(lambda amount: of_network(amount) - here - band, MOST.get(metric, GREY_LEVELS))
+    much = largest_change(lambda amount: of_network(amount) - here - band, MOST.get(metric, GREY_LEVELS), metric)
     return Judged(metric, formula, best, here, band, much, changed(much)[SHOWN])
 
 
