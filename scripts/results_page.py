@@ -44,7 +44,7 @@ STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
 # What SA2H of preset=traced is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
-NAMES = {component.key: component.name for component in components()}
+NAMES = {component.key: component.name for component in reversed(components())}  # of a key, the first one
 
 
 @cache
