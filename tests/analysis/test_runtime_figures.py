@@ -42,9 +42,21 @@ def test_renderers_are_drawn_above_the_re_simulation_with_names_and_intervals(fi
     assert {panel.get_xscale() + panel.get_yscale() for panel in (mae, psnr)} == {"linearlinear"}
     bars = [list(line.get_ydata()) for line in psnr.lines if list(line.get_xdata()) == [5.0, 5.0]]
     assert bars == [[0.5, 1.5]]
-    assert psnr.get_ylabel() == "PSNR: worse than re-simulation by, dB"
+    assert psnr.get_ylabel() == "PSNR below re-simulation (dB)"
     boxes = [text.get_window_extent() for text in psnr.texts]
     assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+
+
+def test_a_renderer_far_worse_than_the_simulator_is_told_in_words(figures, tmp_path):
+    """It would leave no room to tell the others apart."""
+    rows = [("simulator, other", "1 ray", 5.0, "mae", 12.0), ("simulator, other", "re-simulation", 9.0, "mae", 10.0)]
+    rows += [("sa2h", "bf16", 6.0, "mae", 14.0), ("sa2h-att", "bf16", 6.0, "mae", 16.0)]
+    points = pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
+    analysis.error_vs_runtime(points, tmp_path / "far", {"mae": 10.0})
+    (panel,) = figures["far"].axes
+    assert [text.get_text() for text in panel.texts] == ["1 ray", "sa2h, bf16", "re-simulation"]
+    assert panel.get_title() == "beyond the axis: sa2h-att, bf16: +6.00"
+    assert panel.get_ylim()[1] < 6
 
 
 def test_names_have_room_where_points_are_dense():

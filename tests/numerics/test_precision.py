@@ -297,7 +297,7 @@ def test_the_renderers_of_the_figure_are_named_and_those_that_know_the_scatterer
     shown = renderers(errors.merge(worse.drop(columns="worse"), "left", ["series", "setting", "metric"]), "rays 16")
     names = (shown["series"] + " " + shown["setting"]).str.removeprefix("simulator, other scatterers ").str.strip()
     simulated = ["re-simulation", "1 ray", "2 rays", "1 layer", "2 rays, 1 layer"]
-    assert names.tolist() == [*simulated, "formula", "sa2h bf16", "sa2h fp32, image-space", "shipped sa2h bf16"]
+    assert names.tolist() == [*simulated, "formula", "sa2h bf16", "sa2h fp32", "shipped sa2h bf16"]
     assert shown.set_index("setting").loc["bf16", "ms"].tolist() == [19.0, 19.0], "the fastest engine of the first seed"
     assert shown.loc[0, ["worse_lower", "worse_upper"]].tolist() == [0, 0]
     assert shown.loc[1, "worse_lower"] == pytest.approx(1 - 1 / 16)

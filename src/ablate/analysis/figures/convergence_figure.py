@@ -77,8 +77,9 @@ def convergence_figure(points: pd.DataFrame, stem: Path, hardware: str = "") -> 
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         figure.draw_without_rendering()  # so that the panels have their places
         for axes, own in zip(grid, panels, strict=False):
-            names = [named_setting(*pair) for pair in zip(own["series"], own["setting"], strict=True)]
-            write_names(axes, names, own["ms"].to_numpy(float), own["error"].to_numpy(float))
+            once = own.drop_duplicates("error")  # the data set's own setting is in every series
+            names = [named_setting(*pair) for pair in zip(once["series"], once["setting"], strict=True)]
+            write_names(axes, names, once["ms"].to_numpy(float), once["error"].to_numpy(float))
         return save_figure(figure, stem)
 
 

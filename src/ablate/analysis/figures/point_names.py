@@ -6,9 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 _POINTS_HIGH = 6.0  # of the letters
-_WIDTH = 0.52  # of a letter, in heights
+_WIDTH = 0.58  # of a letter, in heights
 _GAP = 4.0  # from a point to its name, points
-_FARTHEST = 7  # times as far at most
+_FARTHEST = 9  # times as far at most
+_BESIDE = 8  # places that need no line to the point
 Box = tuple[float, float, float, float]  # left, bottom, right, top, pixels
 
 
@@ -33,10 +34,9 @@ def write_names(axes: Axes, names: Sequence[str], x: np.ndarray, y: np.ndarray) 
         width, height = len(names[k]) * _WIDTH * _POINTS_HIGH * scale, 1.25 * _POINTS_HIGH * scale
         offsets = list(_offsets(_GAP * scale, width, height))
         boxes = [(a := places[k][0] + dx, b := places[k][1] + dy, a + width, b + height) for dx, dy in offsets]
-        cost = [sum(_overlap(box, other) for other in taken) + 10 * _outside(box, limits) for box in boxes]
+        cost = [sum(_overlap(box, other) for other in taken) + _outside(box, limits) for box in boxes]
         best = int(np.argmin(cost))
         taken.append(boxes[best])
-        far = np.hypot(*offsets[best]) > 3 * _GAP * scale + width
         axes.annotate(
             names[k],
             (x[k], y[k]),
@@ -44,7 +44,7 @@ def write_names(axes: Axes, names: Sequence[str], x: np.ndarray, y: np.ndarray) 
             textcoords="offset points",
             fontsize=_POINTS_HIGH,
             color="#333333",
-            arrowprops={"arrowstyle": "-", "lw": 0.4, "color": "#999999"} if far else None,
+            arrowprops={"arrowstyle": "-", "lw": 0.4, "color": "#999999"} if best >= _BESIDE else None,
             annotation_clip=False,
         ).set_in_layout(False)
 

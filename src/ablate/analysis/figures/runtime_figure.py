@@ -33,6 +33,7 @@ SIMULATOR_COLOUR = "#888888"
 #: Columns that points may have: the ends of an interval over frames of how much worse than re-simulation one is.
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
 _PANEL_IN = 3.1
+_FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
 
 
 def error_vs_runtime(
@@ -102,46 +103,56 @@ def _draw_panel(
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Draw every point of one metric; returns their names, (n,), and places, (n,) each."""
     judge = metric_of(metric)
-    entries = points.to_dict("records")
     relative = floor is not None and judge.better in (Direction.lower, Direction.higher)
-    ms = points["ms"].to_numpy(dtype=np.float64)
-    error = points["error"].to_numpy(dtype=np.float64)
-    badness = np.array([judge.badness(value) for value in error])
-    y = badness - judge.badness(float(floor or 0.0)) if relative else error
-    labels = []
-    for point, height in zip(entries, y, strict=True):
+    badness = np.array([judge.badness(value) for value in points["error"]])
+    points = points.assign(y=badness - judge.badness(float(floor or 0.0)) if relative else points["error"])
+    points = points.assign(name=[_name(point, names) for point in points.to_dict("records")])
+    simulated = points["series"].str.startswith(SIMULATOR)
+    most = _FARTHEST * points.loc[simulated, "y"].max() if relative and simulated.any() else np.inf
+    beyond = points[points["y"] > most]
+    shown, badness = points[points["y"] <= most], badness[(points["y"] <= most).to_numpy()]
+    for point in shown.to_dict("records"):
         is_simulator = str(point["series"]).startswith(SIMULATOR)
         colour = SIMULATOR_COLOUR if is_simulator else _colour_of(point["series"], list(names))
-        _draw_spread(axes, point, height, colour, relative)
+        _draw_spread(axes, point, colour, relative)
         style: dict[str, Any] = {"ls": "none", "color": colour, "ms": 4.5, "marker": "x" if is_simulator else "o"}
-        axes.plot(point["ms"], height, **style)
-        own = [] if is_simulator else [names[point["series"]]]
-        labels.append(", ".join([*own, *filter(None, [str(point["setting"])])]))
+        axes.plot(point["ms"], point["y"], **style)
+    ms, y = (shown[name].to_numpy(dtype=np.float64) for name in ("ms", "y"))
     if judge.better is not Direction.none:
-        spread = [points[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in points]
+        spread = [shown[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in shown]
         front = pareto_front(ms, badness, *spread)
         axes.step(ms[front], y[front], where="post", color="#CCCCCC", lw=3, zorder=0, label="Pareto front")
-    if relative:
-        axes.axhline(0.0, lw=0.9, **baseline_line(metric))
-    elif floor is not None:
-        axes.axhline(floor, lw=0.9, **baseline_line(metric))
-    worse = f"{judge.label}: worse than re-simulation by"
-    axes.set(xlabel="median time, ms a frame", ylabel=f"{worse}, {judge.unit}" if relative else judge.title)
+    if floor is not None:
+        axes.axhline(0.0 if relative else floor, lw=0.9, **baseline_line(metric))
+    if len(beyond):
+        told = [f"{point['name']}: {point['y']:+.{judge.decimals}f}" for point in beyond.to_dict("records")]
+        axes.set_title("beyond the axis: " + "; ".join(told), fontsize=6, color="#555555")
+    side = "below" if judge.better is Direction.higher else "above"
+    unit = f" ({judge.unit})" if judge.unit else ""
+    axes.set(
+        xlabel="median time, ms a frame",
+        ylabel=f"{judge.label} {side} re-simulation{unit}" if relative else judge.title,
+    )
     axes.set_xlim(left=0.0)
     axes.margins(x=0.15, y=0.1)
-    return labels, ms, y
+    return list(shown["name"]), ms, y
+
+
+def _name(point: Mapping[Any, Any], names: Mapping[str, str]) -> str:
+    """What a point is called: its series and its setting; of the simulator its setting alone."""
+    return ", ".join(filter(None, [names.get(str(point["series"]), ""), str(point["setting"])]))
 
 
 def _colour_of(name: str, names: Sequence[str]) -> str:
     return "#444444" if name in BASELINE_NAMES else colour_of(name, [one for one in names if one not in BASELINE_NAMES])
 
 
-def _draw_spread(axes: Axes, point: Mapping[Any, Any], height: float, colour: str, relative: bool) -> None:
+def _draw_spread(axes: Axes, point: Mapping[Any, Any], colour: str, relative: bool) -> None:
     """The spread of a point's time and the interval of its error, where they are known."""
     style: dict[str, Any] = {"color": colour, "lw": 0.8, "zorder": 1}
     sides = [point.get(side, np.nan) for side in BOUNDS]
     if np.isfinite(sides).all():
-        axes.plot(sides, [height, height], **style)
+        axes.plot(sides, [point["y"]] * 2, **style)
     ends = [point.get(side, np.nan) for side in WORSE_BOUNDS]
     if relative and np.isfinite(ends).all():
         axes.plot([point["ms"]] * 2, ends, **style)

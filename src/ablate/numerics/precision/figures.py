@@ -62,5 +62,6 @@ def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
     ways = networks["setting"].str.extract(_WAY)
     ranked = networks.assign(**ways, number=ways["seed"].astype(float).fillna(0.0)).sort_values(["number", "ms"])
     first = ranked.drop_duplicates(["series", "study", "precision", "metric"]).sort_index()
-    first = first.assign(setting=first["precision"] + (", " + first["study"]).fillna(""))
+    twice = first.duplicated(["series", "precision", "metric"], keep=False)  # from several studies
+    first = first.assign(setting=first["precision"] + (", " + first["study"]).where(twice).fillna(""))
     return pd.concat([of_simulator, formula, first])[errors.columns].reset_index(drop=True)
