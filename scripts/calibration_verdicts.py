@@ -14,10 +14,11 @@ from tqdm import trange
 
 from ablate.analysis import Design, Verdict, find_design, run_means, verdict_table
 from ablate.command.compose import jobs_of
-from ablate.settings.conf import components
+from ablate.settings.components import components
 from ablate.study.comparable import levels_of
 
-NAMES = tuple(component.name for component in components())
+COMPONENTS = components("full_model")  # as docs/study.md registered them, for its extension too
+NAMES = tuple(component.name for component in COMPONENTS)
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
 BANDS = (0.5, 1.0, 1.5, 2.0)
 
@@ -33,11 +34,11 @@ def runs_of(study: str) -> tuple[pd.DataFrame, Design]:
     """
     jobs = jobs_of([f"+study={study}"])
     levels = {job.label: levels_of(job.identity) for job in jobs}
-    design = find_design(levels, [component.key for component in components()])
+    design = find_design(levels, [component.key for component in COMPONENTS])
     assert design is not None
     rows = [
         (job.label, job.settings.seed, "0", "0", metric, 0.0, str(job.settings.scene.anatomy_seed))
-        for metric in dict.fromkeys(component.metric for component in components())
+        for metric in dict.fromkeys(component.metric for component in COMPONENTS)
         for job in jobs
         if job.label in design.cells.index  # others are beside it
     ]
@@ -60,7 +61,7 @@ def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], b
         Of the chance.
     """
     values = np.random.default_rng(seed).normal(size=len(runs))
-    varied = [component for component in components() if component.key in design.factors]
+    varied = [component for component in COMPONENTS if component.key in design.factors]
     for component in varied:
         on = runs[component.key] == design.cells.loc["sa2h", component.key]
         values -= effects.get(component.name, 0.0) * (on & (runs["metric"] == component.metric))

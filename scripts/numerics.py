@@ -2,6 +2,7 @@
 
 make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour and a half at most on two cores
 python scripts/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
+python scripts/numerics.py --draw                                   # the figures again, from the CSV files
 
 The part of the paper's size trains SA2H there first and shows its frames and scores. Of a patient, figures of errors
 and times are shown and no image. Tables stand between `<!-- table: name -->` and
@@ -14,15 +15,19 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pandas as pd
 
 from ablate.metrics import METRICS
+from ablate.numerics.precision.figures import draw
 from ablate.numerics.precision.task import tables, verdict
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "numerics.md"
 PARTS = ("fetal", "paper", "patient", "scaling")
+#: Rays of the data sets, by what the names of figures end with.
+RAYS = {"": 16, "_paper": 32, "_patient": 16}
 #: The paper's sizes, and three times the steps of `quick`; all else is the preset's.
 PAPERS_SIZE = (
     "scene.triangles=675000",
@@ -60,8 +65,9 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
     """Run the task, copy its figures and points here; returns what belongs on the page."""
     subprocess.run([sys.executable, "-m", "ablate", "task=precision", f"runs_dir={runs}", *arguments], check=True)
     made = runs / "precision"
-    for kind in ("png", "csv"):
-        shutil.copy(made / f"precision.{kind}", DOCS / f"precision{suffix}.{kind}")
+    for name in ("precision.png", "precision.csv", "renderers.png"):
+        stem, _, kind = name.partition(".")
+        shutil.copy(made / name, DOCS / f"{stem}{suffix}.{kind}")
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
     shown = tables(points, details)
@@ -72,6 +78,16 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
     head, _, _ = (made / "summary.txt").read_text().partition(f"\n{verdict(details)}")
     about = " ".join(head.replace(f" in {runs.resolve()}", "").split("\n"))
     return texts | {"about": about, "verdict": verdict(details)}
+
+
+def draw_kept() -> None:
+    """Draw the figures from the CSV files of the page."""
+    for suffix, rays in RAYS.items():
+        points = pd.read_csv(DOCS / f"precision{suffix}.csv", dtype={"setting": str})
+        with TemporaryDirectory() as folder:
+            for path in draw(points, rays, Path(folder), "processor B (docs/processors.md)")[0]:
+                if path.suffix == ".png":
+                    shutil.copy(path, DOCS / f"{path.stem}{suffix}.png")
 
 
 def markdown(table: pd.DataFrame) -> str:
@@ -98,7 +114,11 @@ def main() -> None:
     parser.add_argument("--preset", default="quick", help="what they were trained with")
     parser.add_argument("--patient", type=Path, help="a scene folder; left out without")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--draw", action="store_true", help="draw the figures again from the CSV files")
     args = parser.parse_args()
+    if args.draw:
+        draw_kept()
+        return
     jobs = {
         "fetal": ([f"preset={args.preset}"], args.runs, ""),
         "paper": ([f"preset={args.preset}", *PAPERS_SIZE], args.runs / "paper-size", "_paper"),

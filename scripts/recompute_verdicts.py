@@ -41,18 +41,43 @@ def values(study: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def effect(runs: pd.DataFrame, name: str) -> tuple[float, float, float, int]:
-    """Least squares of value = network + anatomy + error: what a component changes, its error, a run's sd, and dof."""
+def least_squares(runs: pd.DataFrame, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A column a network and one an anatomy but the first, the values, and what of the columns a component changes."""
     y = runs[COMPONENTS[name]["metric"]].to_numpy(float)
     networks = sorted(set(runs["network"]))
     x = [runs["network"] == network for network in networks]
     x = np.stack([*x, *(runs["anatomy"] == one for one in sorted(set(runs["anatomy"]))[1:])], axis=1).astype(float)
     contrast = np.zeros(x.shape[1])
     contrast[[networks.index(FULL), networks.index(name)]] = 1, -1
+    return x, y, contrast
+
+
+def effect(runs: pd.DataFrame, name: str) -> tuple[float, float, float, int]:
+    """Least squares of value = network + anatomy + error: what a component changes, its error, a run's sd, and dof."""
+    x, y, contrast = least_squares(runs, name)
     inverse = np.linalg.inv(x.T @ x)
     solution, dof = inverse @ x.T @ y, len(y) - x.shape[1]
     sd = np.sqrt(np.sum((y - x @ solution) ** 2) / dof)
     return contrast @ solution, sd * np.sqrt(contrast @ inverse @ contrast), sd, dof
+
+
+def own_error(runs: pd.DataFrame, name: str) -> tuple[float, float] | None:
+    """The error of an effect and its degrees of freedom, where the runs without a component vary otherwise (F test).
+
+    The residuals of either side have a variance each, of as many degrees of freedom as they keep of the errors.
+    """
+    x, y, contrast = least_squares(runs, name)
+    inverse = np.linalg.inv(x.T @ x)
+    hat = x @ inverse @ x.T
+    squares, kept, influence = ((y - hat @ y) ** 2), 1 - np.diag(hat), x @ inverse @ contrast
+    sides = [mask.to_numpy() for mask in (runs["network"] == name, runs["network"] != name)]
+    counts = [kept[side].sum() for side in sides]
+    variances = [squares[side].sum() / count for side, count in zip(sides, counts, strict=True)]
+    ratio = variances[0] / variances[1]
+    if 2 * min(fisher.sf(ratio, *counts), fisher.cdf(ratio, *counts)) >= 0.05:
+        return None
+    parts = [variance * (influence[side] ** 2).sum() for variance, side in zip(variances, sides, strict=True)]
+    return np.sqrt(sum(parts)), sum(parts) ** 2 / sum(p**2 / n for p, n in zip(parts, counts, strict=True))
 
 
 def holm(p: pd.Series) -> pd.Series:
@@ -67,6 +92,8 @@ def verdicts(runs: pd.DataFrame) -> pd.DataFrame:
     for name in sorted(set(runs["network"]) - {FULL}):
         metric, band = COMPONENTS[name]["metric"], COMPONENTS[name]["band"]
         change, error, sd, dof = effect(runs, name)
+        if (own := own_error(runs, name)) and own[0] > error:
+            error, dof = own
         half = student.ppf(0.975, dof) * error
         p = 2 * student.sf(abs(change) / error, dof), student.cdf((-change - band) / error, dof)
         rows[name] = metric, change, change - half, change + half, band, *p, sd, dof

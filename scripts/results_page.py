@@ -24,13 +24,14 @@ from ablate.analysis import (
     ordered_variants,
     qualitative_figure,
 )
+from ablate.analysis.figures.forest_figure import asks_to_save
 from ablate.analysis.figures.style import shown_name
-from ablate.analysis.statistics.verdicts import ALPHA
+from ablate.analysis.statistics.component_models import ALPHA, ErrorOf
 from ablate.analysis.tables import NOTHING, head
 from ablate.command.compose import jobs_of
 from ablate.metrics import metric_of
 from ablate.metrics.metric import FRAME_TIME
-from ablate.settings.conf import components
+from ablate.settings.components import components
 from ablate.study.comparable import versions_of
 from ablate.study.opened import Study
 from ablate.study.reading import provenance
@@ -43,7 +44,7 @@ STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
 # What SA2H of preset=traced is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
-NAMES = {component.key: component.name for component in components()}
+NAMES = {component.key: component.name for component in reversed(components())}  # of a key, the first one
 
 
 @cache
@@ -80,14 +81,16 @@ def study_lines(folder: Path) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', design=answers.design)}*"
+        facts = {"design": answers.design, "saving": asks_to_save(answers.verdicts)}
+        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', **facts)}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
             "An effect is the mean of the runs with a component minus the mean of those without it. The arrow says "
             "which values are better. p (zero) tests the hypothesis that the effect is zero, and p (band) the "
             "hypothesis that the improvement is at least as large as the band. Both are corrected over the components "
             "(Holm). A difference in time within the spread of the timing is shown as 0. "
-            f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
+            f"The pooled error has {answers.verdicts['dof'].max():.0f} degrees of freedom"
+            f"{own_errors(answers.verdicts)}. "
             f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
         )
     if folder.name != MAIN:
@@ -242,9 +245,15 @@ def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
         word = f"**{Verdict(row['verdict']).replace('_', ' ')}**" + (" (preliminary)" if preliminary else "")
         chances = (probability(row[name]) for name in ("p_holm", "p_band_holm"))
         costs = signed(row["ms_per_frame"], 1), signed(row["parameters"] / 1000, 0)
-        rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:g}", *chances, *costs])
+        rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:.3g}", *chances, *costs])
     titles = ("effect [95 %]", "band", "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
     return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
+
+
+def own_errors(verdicts: pd.DataFrame) -> str:
+    """Which components are tested by the spread of their own runs, as a clause; empty where none is."""
+    names = list(verdicts.loc[verdicts["error"] == ErrorOf.own, "component"])
+    return f"; that of {' and '.join(names)} is by the spread of the runs with it and without it" if names else ""
 
 
 def effect_rows(effects: pd.DataFrame, factors: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ import pytest
 
 from ablate import open_study
 from ablate.metrics import METRICS
-from ablate.settings.conf import components
+from ablate.settings.components import components
 from ablate.storage import write_json
 from ablate.study.job import Job, claim
 from ablate.study.run import COMPARISON, Run, RunList, listed_runs, read_list, write_list
@@ -260,7 +260,7 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     assert stored.loc["att", "verdict"] == "earns"
     assert stored.loc["depth", "verdict"] == "does_not", "chance, far below the band"
     shown = rows_of(text, "verdicts.png)")
-    assert set(shown) - {"component", "---"} == {component.name for component in components()}
+    assert set(shown) - {"component", "---"} == {component.name for component in components("full_model")}
     for name, row in stored[stored["effect"].notna()].iterrows():  # keys of the runs beside it have none
         assert shown[str(name)][2].strip("*") == row["verdict"].replace("_", " ")
     networks = rows_of(text, "### How far from re-simulation")
@@ -298,7 +298,7 @@ def test_verdicts_of_an_unfinished_design_are_preliminary(study: Path, script: M
     text = page.read_text()
     assert "57 of 61 runs are finished: 48 of the 52 runs of the design. **All verdicts are preliminary.**" in text
     words = [row[2] for row in rows_of(text, "verdicts.png)").values()][2:]
-    assert len(words) == len(components()) - 1, "nothing is said of the missing one"
+    assert len(words) == len(components("full_model")) - 1, "nothing is said of the missing one"
     assert all(word.endswith("(preliminary)") for word in words)
     assert "nan" not in text.lower()
 

@@ -50,3 +50,17 @@ def pictures():
     labels = (1 + (radius > 70)).astype(np.uint8) * mask
     attenuation = (np.exp(-radius / 40) * mask).astype(np.float32)
     return FramePictures("frame 7", speckle(0), predictions, mask, labels, attenuation)
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """Figures by the name of their file, as they are handed over to be saved."""
+    drawn = {}
+
+    def keep(figure, stem):
+        drawn[stem.name] = figure
+        return [stem]
+
+    for module in ("boxplot", "seed", "forest", "qualitative", "chi2_maps", "runtime", "convergence"):
+        monkeypatch.setattr(f"ablate.analysis.figures.{module}_figure.save_figure", keep)
+    return drawn

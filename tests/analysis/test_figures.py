@@ -12,22 +12,9 @@ from ablate import analysis
 from ablate.analysis import RESIMULATION
 from ablate.analysis import figures as package
 from ablate.analysis.figures.style import shown_name
-from ablate.metrics import Direction, Metric, patch_chi2
+from ablate.metrics import patch_chi2
 from support.components import COMPONENTS
-
-
-@pytest.fixture
-def figures(monkeypatch):
-    """Figures by the name of their file, as they are handed over to be saved."""
-    drawn = {}
-
-    def keep(figure, stem):
-        drawn[stem.name] = figure
-        return [stem]
-
-    for module in ("boxplot", "seed", "forest", "qualitative", "chi2_maps", "runtime"):
-        monkeypatch.setattr(f"ablate.analysis.figures.{module}_figure.save_figure", keep)
-    return drawn
+from support.runtime import measured_points
 
 
 def test_figures_are_written_whole_in_both_formats(study, pictures, tmp_path):
@@ -39,7 +26,8 @@ def test_figures_are_written_whole_in_both_formats(study, pictures, tmp_path):
         analysis.forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts"),
         analysis.qualitative_figure([pictures, bare], tmp_path / "deep" / "qualitative_0"),
         analysis.chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"),
-        analysis.error_vs_runtime(runtime_points(), tmp_path / "error_vs_runtime", {"mae": 0.2}, "a test"),
+        analysis.error_vs_runtime(measured_points(), tmp_path / "error_vs_runtime", {"mae": 0.2}, "a test"),
+        analysis.convergence_figure(measured_points(), tmp_path / "convergence", "a test"),
     ):
         assert [path.suffix for path in paths] == [".png", ".pdf"]
         picture = imread(paths[0])
@@ -48,18 +36,6 @@ def test_figures_are_written_whole_in_both_formats(study, pictures, tmp_path):
         page = paths[1].read_bytes()
         assert page.startswith(b"%PDF")
         assert b"/FontFile2" in page, "journals want TrueType fonts"
-
-
-def runtime_points():
-    rows = [("simulator, rays", r, 10.0 * r, metric, 1 / r) for r in (1, 2, 4) for metric in ("mae", "psnr")]
-    rows += [("sa2h", "fp32", 5.0, "mae", 0.4), ("sa2h", "bf16", 3.0, "mae", np.inf), ("sa2h", "int8", 0.0, "mae", 1)]
-    return pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
-
-
-def test_points_without_a_time_are_refused(tmp_path):
-    points = runtime_points()
-    with pytest.raises(ValueError, match="no finite point"):
-        analysis.error_vs_runtime(points[points["ms"] == 0], tmp_path / "none")
 
 
 def legend_of(figure):
@@ -106,8 +82,16 @@ NOTHING = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
 def verdicts_of(**more):
     """Verdicts of two components whose metrics are better where they are smaller; the second is without an effect."""
     first = {"component": "att", "metric": "shadow_contrast", "effect": -6.0, "lower": -8.0, "upper": -4.0, "band": 3.0}
-    first |= {"verdict": "earns", "least": 3.9, "most": 7.5, "ms_per_frame": 1.26, "parameters": -2400.0}
+    first |= {
+        "question": "earns",
+        "verdict": "earns",
+        "least": 3.9,
+        "most": 7.5,
+        "ms_per_frame": 1.26,
+        "parameters": -2400.0,
+    }
     second = dict.fromkeys(first, np.nan) | {"component": "conv", "metric": "nyquist_excess", "verdict": "undecided"}
+    second["question"] = "earns"
     third = first | {"component": "depth", "metric": "mae_smooth", "effect": 1.0}
     third["verdict"] = "does_not"
     return pd.DataFrame([first | more, second, third])
@@ -251,18 +235,6 @@ def test_a_new_figure_is_found_by_its_module(study, tmp_path, monkeypatch):
     assert (drawn[0].path.name, str(drawn[0].section)) == ("own.png", "verdicts")
     assert drawn[0].path.read_bytes() == str(len(study)).encode()
     assert drawn[0].caption.startswith("Scores of all trainings.")
-
-
-@pytest.mark.parametrize(("better", "front"), [(Direction.zero, [-0.5, 0.1]), (Direction.none, None)])
-def test_a_metric_of_both_signs_has_its_own_front_and_a_linear_axis(better, front, figures, tmp_path, monkeypatch):
-    points = pd.DataFrame({"series": list("abcd"), "ms": [1.0, 2.0, 3.0, 4.0], "error": [-0.5, 0.1, -9.0, 2.0]})
-    points = points.assign(setting="", metric="signed")
-    monkeypatch.setattr(analysis.figures.runtime_figure, "metric_of", lambda name: Metric(name, better=better))
-    analysis.error_vs_runtime(points, tmp_path / "signed")
-    axes = figures["signed"].axes[0]
-    assert axes.get_yscale() == "linear", "a logarithm hides what is below 0"
-    fronts = [list(line.get_ydata()) for line in axes.lines if line.get_label() == "Pareto front"]
-    assert fronts == ([front] if front else [])
 
 
 def test_a_map_without_a_patch_has_no_number(pictures, figures, tmp_path):

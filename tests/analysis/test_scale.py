@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from ablate.analysis import cautions, comparison_table, scale_table
+from ablate.analysis import Component, cautions, comparison_table, scale_table, scaled_bands
 
 MEANS = {  # by variant: PSNR, patch chi-square, noise sd
     "re-simulation": (22.0, 0.05, 20.0),
@@ -44,6 +44,38 @@ def test_without_a_baseline_or_where_they_are_equal_there_is_no_scale() -> None:
     assert scale_table(comparison_table(per_image({"sa2h": MEANS["sa2h"], "formula": MEANS["formula"]}))).empty
     equal = MEANS | {"formula": (22.0, 0.20, 18.0)}
     assert list(scale_table(comparison_table(per_image(equal)))) == ["pchi2"]
+
+
+def judged(metric: str, share: float | None = 0.1) -> Component:
+    return Component("mine", "model.noise", "body", "input", metric=metric, band=7.0, share=share)
+
+
+def test_a_band_is_a_share_of_the_scale_in_the_mean_of_the_anatomies() -> None:
+    """Of the PSNR, too, whose larger values are better; a row of a network changes nothing."""
+    there = per_image(MEANS | {"formula": (17.0, 0.40, 18.0)}).assign(data="e")
+    both = pd.concat([per_image(MEANS), there])
+    psnr, chi2 = scaled_bands([judged("psnr"), judged("pchi2")], both)
+    assert psnr.band == pytest.approx(0.1 * (3.0 + 5.0) / 2)
+    assert chi2.band == pytest.approx(0.1 * (0.15 + 0.35) / 2)
+    (alone,) = scaled_bands([judged("pchi2")], per_image(MEANS | {"sa2h": (0.0, 9.0, 0.0)}))
+    assert (alone.band, alone.share) == (pytest.approx(0.015), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("metric", "share", "means"),
+    [
+        ("pchi2", None, MEANS),  # a component that was registered with a band of its own
+        ("noise_sd", 0.1, MEANS),  # which does not judge
+        ("pchi2", 0.1, {"sa2h": MEANS["sa2h"], "re-simulation": MEANS["re-simulation"]}),  # no formula was scored
+        ("pchi2", 0.1, MEANS | {"formula": (19.0, 0.05, 18.0)}),  # it is as good as re-simulation
+        ("mae", 0.1, MEANS),  # of which there is no score
+    ],
+)
+def test_without_a_scale_the_declared_band_counts(
+    metric: str, share: float | None, means: dict[str, tuple[float, float, float]]
+) -> None:
+    (component,) = scaled_bands([judged(metric, share)], per_image(means))
+    assert (component.band, component.share) == (7.0, None)
 
 
 @pytest.mark.parametrize(("reference", "said"), [("sa2h", ""), ("nsa2h", "nsa2h is worse than the formula")])

@@ -276,7 +276,7 @@ def test_the_ends_of_an_improvement_tell_the_verdict(cells: pd.DataFrame, design
         assert np.select([below, above], ["does_not", "earns"], "undecided").tolist() == table["verdict"].tolist()
         assert (table["least"] <= -table["upper"]).all(), "wider than without the correction, towards 0"
         said += table["verdict"].to_list()
-    assert {said.count(word) > 20 for word in Verdict} == {True}
+    assert all(said.count(word) > 20 for word in (Verdict.earns, Verdict.does_not, Verdict.undecided))
 
 
 NOISE = (0.0, 0.4, -0.1)  # of three seeds

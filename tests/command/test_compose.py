@@ -1,6 +1,7 @@
 """The command line: what it stands for, and how it is refused."""
 
 import math
+import re
 from collections import Counter
 from itertools import combinations
 from pathlib import Path
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 
 from ablate.analysis import find_design
+from ablate.analysis.statistics.component_models import require_judged
 from ablate.command.compose import cells, jobs_of, without_repetitions
 from ablate.dataset import Encoding
-from ablate.networks import Family
-from ablate.settings.conf import components
+from ablate.networks import Attenuation, Family
+from ablate.settings.components import components
 from ablate.settings.study import ConfigurationError, SceneSettings, StudySettings
 from ablate.study.comparable import levels_of, untold_differences
 from ablate.study.job import Job
@@ -108,7 +110,7 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
     runs = Counter((job.label.replace(".anatomy_seed-4", ""), job.settings.scene.anatomy_seed) for job in jobs)
     assert {anatomy for _, anatomy in runs} == {3, 4}
     assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
-    assert len(runs) == 2 * (1 + len(components())), "each component is switched off alone"
+    assert len(runs) == 2 * (1 + len(components("full_model"))), "each component is switched off alone"
     assert not untold_differences(jobs, "sa2h")
     orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
     assert len(orders) == 2, "an order of the labels for each seed"
@@ -125,7 +127,30 @@ def test_the_runs_beside_the_design_take_no_part_in_it() -> None:
     design = find_design({job.label: levels_of(job.identity) for job in jobs}, factors)
     assert design is not None
     assert set(design.cells.index) == {job.label for job in design_jobs}
-    assert len(design.factors) == len(components())
+    assert len(design.factors) == len(components("full_model"))
+
+
+def test_the_components_are_asked_again_at_the_papers_inputs() -> None:
+    """Each level alone, equally often in both anatomies; the network on images has noise by pixel, as one beside it."""
+    jobs = of_the_design(study_group("components"))
+    assert len(jobs) == len({job.folder for job in jobs}) == 52
+    models = [job.settings.model for job in jobs if job.settings.encoding is not Encoding.properties]
+    assert {model.attenuation for model in models} == {Attenuation.integral, Attenuation.none}
+    runs = Counter((re.sub(r"\.anatomy_seed-\d+", "", job.label), job.settings.scene.anatomy_seed) for job in jobs)
+    assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
+    orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
+    assert len(orders) == 4, "an order of the labels for each training"
+    assert not untold_differences(study_group("components"), "sa2h")
+    keys = [component.key for component in components()]
+    levels = {job.label: levels_of(job.identity) for job in study_group("components")}
+    design = find_design(levels, keys, components=components())
+    assert design is not None
+    assert set(design.cells.index) == {job.label for job in jobs}
+    asked = {component.name for component in components()} - {"interfaces", "grain"}
+    told = {one.name: require_judged(one, design)[2] for one in components() if one.name in asked}
+    assert sorted(told.values()) == sorted(design.factors), "each factor is one component's"
+    assert (told["noise"], told["lattice"]) == ("model.noise=input", "model.noise=inject")
+    assert (told["encoding"], told["properties"]) == ("encoding=arbitrary", "encoding=properties")
 
 
 def test_cells_of_a_study_take_more_keys() -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from ablate.command.checks import check
 from ablate.command.compose import jobs_of
-from ablate.settings.conf import components, conf_folder, read_components_from
+from ablate.settings.components import components, read_components_from
+from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.entry import execute
 

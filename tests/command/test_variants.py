@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from ablate.analysis import Component, Question
 from ablate.command.compose import jobs_of
 from ablate.metrics import METRICS
 from ablate.networks import GeneratorSpec
-from ablate.settings import conf
-from ablate.settings.conf import components, components_of_networks, keys, variant_names
+from ablate.settings import components as declared
+from ablate.settings.components import components, components_of_networks
+from ablate.settings.conf import keys, variant_names
 from ablate.settings.study import StudySettings
 from ablate.training import AdversarialLoss
 from ablate.ultrasound import SimulatorSettings, TimeGain
@@ -59,8 +61,12 @@ def test_the_page_of_the_networks_prints_the_components_as_their_files_are() -> 
     def levels(names: tuple[object, ...]) -> str:
         return ", ".join(map(str, names)).replace(f", {names[-1]}", f" or {names[-1]}")
 
-    kept = ((c, f"{levels(c.levels_on)} | {c.off} | `{c.metric}` | {c.band:g}") for c in components())
-    rows = {f"| {c.name} | `{c.key}` | {values} |" for c, values in kept}
+    def row(c: Component) -> str:
+        share = "" if c.share is None else f"{c.share:g}"
+        cells = (c.name, f"`{c.key}`", levels(c.levels_on), c.off, c.question, f"`{c.metric}`", share, f"{c.band:g}")
+        return f"| {' | '.join(map(str, cells))} |"
+
+    rows = {row(c) for c in components()}
     assert len(printed) >= 6
     assert rows.issuperset(printed)
 
@@ -73,9 +79,55 @@ def test_a_variant_without_a_discriminator_is_sa2h_but_for_its_loss() -> None:
 
 def test_one_key_has_one_file_of_a_component(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The level of the last file once decided which runs have the component of the first."""
-    monkeypatch.setattr(conf, "conf_folder", lambda: tmp_path)
+    monkeypatch.setattr(declared, "conf_folder", lambda: tmp_path)
     (tmp_path / "component").mkdir()
-    for name, levels in (("att", "on: integral\noff: none"), ("gain", "on: compensated\noff: integral")):
-        (tmp_path / "component" / f"{name}.yaml").write_text(f"key: model.attenuation\n{levels}\n")
-    with pytest.raises(ValueError, match=r"gain\.yaml: key=model\.attenuation is declared by att\.yaml; allowed"):
-        conf.components.__wrapped__()
+
+    def declare(**levels: str) -> None:
+        for name, lines in levels.items():
+            (tmp_path / "component" / f"{name}.yaml").write_text(f"key: model.attenuation\n{lines}\n")
+
+    declare(att="on: [illumination, integral]\noff: none", gain="on: compensated\noff: integral")
+    assert [component.name for component in components()] == ["att", "gain"]
+    for twin in ("on: integral\noff: none", "on: none\noff: illumination", "purpose: any"):
+        declare(gain=twin)
+        with pytest.raises(
+            ValueError, match=r"gain\.yaml: key=model\.attenuation is declared by .*att\.yaml with the same"
+        ):
+            components()
+
+
+def test_a_study_has_the_components_that_were_registered_for_it() -> None:
+    """And today's, where nothing else is said of one."""
+    registered = {component.name: component for component in components("full_model")}
+    today = {component.name: component for component in components()}
+    assert today.keys() - registered.keys() == {"lattice", "properties"}
+    assert (registered["encoding"].on, registered["encoding"].off) == ("properties", "arbitrary")
+    assert (today["encoding"].on, today["encoding"].off) == ("echogenicity", "arbitrary")
+    assert {component.question for component in registered.values()} == {Question.earns}
+    assert {name for name, component in today.items() if component.question is Question.saves} == {"depth", "space"}
+    assert {component.share for component in registered.values()} == {None}, "its bands are in units of the metrics"
+    bands = {"shadow_contrast": 3.0, "thin_contrast": 2.5, "mae_smooth": 1.0, "pchi2_tissue": 0.005}  # docs/study.md
+    bands |= {"octave_sd": 0.4, "nyquist_excess": 0.4}
+    assert {component.metric: component.band for component in registered.values()} == bands
+    assert components("any other") == components()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("gone: {share: null}", "mine.yaml: gone is no file of conf/component"),
+        ("att: {wrong: 1}", "mine.yaml: att: .*wrong"),
+        ("att: 3", "mine.yaml: att=3: allowed are null and values as in conf/component"),
+        ("- att", "registered/mine.yaml: holds no keys"),
+    ],
+)
+def test_what_was_registered_wrongly_is_named(
+    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "component").mkdir()
+    (tmp_path / "registered").mkdir()
+    (tmp_path / "component" / "att.yaml").write_text("key: model.attenuation\n")
+    (tmp_path / "registered" / "mine.yaml").write_text(text)
+    monkeypatch.setattr(declared, "conf_folder", lambda: tmp_path)
+    with pytest.raises(ValueError, match=said):
+        components("mine")

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 import torch
 from mlflow import MlflowClient
+from scipy import stats
 
 from ablate.command.compose import jobs_of
 from ablate.dataset import Part, label_values, network_inputs
@@ -21,7 +22,9 @@ from ablate.networks import Space
 from ablate.networks.spec import OF_SURFACES
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
-from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
+from ablate.numerics.precision.bench import bench_of
+from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change, worse_than
+from ablate.numerics.precision.figures import renderers
 from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError
 from ablate.sources.prepare import prepare_data
@@ -74,7 +77,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert "left out, engine exported: needs what a test has not." in printed
     assert "With half of its" in printed
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
-    assert list(points.columns) == ["series", "setting", "ms", "metric", "error"]
+    assert list(points.columns) == ["series", "setting", "ms", "metric", "error", "worse_lower", "worse_upper"]
     assert (points["ms"] > 0).all()
     assert not points["error"].isna().any()
     assert not points.duplicated(["series", "setting", "metric"]).any()
@@ -95,7 +98,14 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     whole = network[network["setting"] == "width 0.05, fp32, eager, seed 0"]["ms"].iloc[0]
     assert paid.sum() == pytest.approx(whole), "all maps are paid for"
     assert {"reference", "convergence", "limit", "stage"} == set(details["table"])
-    assert (trained / "precision" / "precision.png").exists()
+    assert all((trained / "precision" / f"{name}.png").exists() for name in ("precision", "renderers"))
+    combined = points[points["setting"] == "rays 2, layers 1"]
+    assert set(combined["series"]) == {"simulator, combined", "simulator, other scatterers"}
+    of_frames = pd.read_csv(trained / "precision" / "frames.csv", dtype={"setting": str})
+    means = of_frames[of_frames["metric"] == "mae"].groupby(["series", "setting"])["error"].mean()
+    mae_of = points[points["metric"] == "mae"].set_index(["series", "setting"])["error"]
+    assert {series for series, _ in means.index} == {"simulator, other scatterers", "formula", "sa2h"}
+    pd.testing.assert_series_equal(means, mae_of[means.index], check_names=False)
 
     client = MlflowClient(default_uri(trained))
     (recorded,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
@@ -126,7 +136,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     assert errors["simulator, other scatterers", "rays 4", "mae"] == pytest.approx(np.mean([*map(mae, other, targets)]))
 
     generator = load_generator(job.folder / "last.ckpt")
-    beams = [exact.render(pairs.poses[f], s.dataset.seed).beam for f in frames]
+    beams = [exact.render(pairs.poses[f], s.dataset.seed + 1).beam for f in frames]  # grain is not that of the target
     stacked = {name: np.stack([getattr(b, name) for b in beams]) for name in ("segmentation", "attenuation", "grain")}
     stacked |= {name: np.stack([value] * 2) for name, value in pairs.positions(Space.beam).items()}
     everywhere = np.ones(s.simulator.beam_shape, bool)
@@ -179,7 +189,8 @@ def test_an_engine_that_fails_costs_its_points_alone(
     ((reference,), _) = bench.render_all(chosen, [chosen.simulator], (chosen.seed,), "reference")[0]
     planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
     planned.append(planned[-1])  # a second one in bf16, as an engine is
-    points, details = generated.measure_generators(chosen, planned, job.settings, reference)
+    found = generated.measure_generators(chosen, planned, job.settings, reference)
+    points, details = found.points, found.details
     assert f"left out, sa2h, width 0.05, {failing}, eager, seed 0: no such kernel" in caplog.text
     assert {row[1] for row in points if "eager" in row[1]} == {f"width 0.05, {working}, eager, seed 0"}
     limits = [row for row in details if row[0] == "limit"]
@@ -203,7 +214,7 @@ def test_without_a_trained_run_the_simulator_is_measured_alone_also_after_an_int
     assert run(*arguments) == 0
     assert f"no trained run in {tmp_path}: the simulator alone" in capsys.readouterr().out
     points = pd.read_csv(tmp_path / "precision" / "precision.csv")
-    assert points["series"].str.startswith("simulator").all()
+    assert set(points["series"][~points["series"].str.startswith("simulator")]) == {"formula"}
     assert not (tmp_path / "data" / "fetal").exists(), "no pair is simulated for it"
 
 
@@ -223,13 +234,13 @@ def test_what_has_no_scene_to_measure_is_one_line(tmp_path: Path, monkeypatch: p
 def test_the_error_of_an_envelope_is_relative() -> None:
     random = np.random.default_rng(0)
     reference = random.rayleigh(size=(40, 30)).astype(np.float32)
-    assert bench.envelope_rms(1.25 * reference, reference) == pytest.approx(0.25, rel=1e-6)
+    assert envelope_rms(1.25 * reference, reference) == pytest.approx(0.25, rel=1e-6)
     noise = random.normal(size=reference.shape)
     expected = np.linalg.norm(noise) / np.linalg.norm(reference)
-    assert bench.envelope_rms(reference + noise, reference) == pytest.approx(expected, rel=1e-6)
+    assert envelope_rms(reference + noise, reference) == pytest.approx(expected, rel=1e-6)
     silent = np.zeros_like(reference)
-    assert bench.envelope_rms(silent, silent) == 0
-    assert bench.envelope_rms(reference, silent) == math.inf
+    assert envelope_rms(silent, silent) == 0
+    assert envelope_rms(reference, silent) == math.inf
 
 
 def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
@@ -246,6 +257,50 @@ def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
     assert one["mae"] == pytest.approx(1 / 3)
     assert one["psnr"] == pytest.approx(20 * math.log10(255)), "identical frames are left out of its mean"
     assert "envelope_rms" not in mean_errors(Frames(images, envelopes[:, :10]), Frames(images, envelopes), probe)
+
+
+def test_the_interval_of_how_much_worse_a_renderer_is_is_the_paired_t_test_s() -> None:
+    rng = np.random.default_rng(0)
+    here, there = rng.normal(9, 1, 8), rng.normal(8, 1, 8)
+    rows = [
+        (series, "", metric, frame, sign * value)
+        for metric, sign in (("mae", 1), ("psnr", -1))  # of which larger is better
+        for series, values in (("mine", here), ("other", there))
+        for frame, value in enumerate(values)
+    ]
+    told = worse_than(pd.DataFrame(rows, columns=module.OF_FRAMES), "other", "").set_index(["series", "metric"])
+    ends = stats.ttest_rel(here, there).confidence_interval()
+    for metric in ("mae", "psnr"):
+        assert told.loc[("mine", metric), "worse"] == pytest.approx(np.mean(here - there))
+        assert tuple(told.loc[("mine", metric), ["worse_lower", "worse_upper"]]) == pytest.approx(tuple(ends))
+        assert tuple(told.loc[("other", metric)])[1:] == (0, 0, 0)
+
+
+def test_the_renderers_of_the_figure_are_named_and_those_that_know_the_scatterers_are_not_among_them() -> None:
+    points = [
+        *(("simulator, rays", f"{n}", 10.0 + n, 1 / n) for n in (1, 2, 16)),
+        ("simulator, combined", "rays 2, layers 1", 11.0, 0.4),
+        *(("simulator, other scatterers", f"rays {n}", 10.0 + n, 2 + 1 / n) for n in (1, 2, 16, 64)),
+        ("simulator, other scatterers", "layers 3", 25.9, 2 + 1 / 16),  # the data set's own, once more
+        ("simulator, other scatterers", "layers 1", 15.0, 3.0),
+        ("simulator, other scatterers", "rays 2, layers 1", 11.0, 3.5),
+        ("formula", "segmentation, attenuation", 7.0, 6.0),
+        ("sa2h", "width 0.25, bf16, eager, seed 0", 30.0, 4.1),
+        ("sa2h", "width 0.25, bf16, exported, seed 0", 19.0, 4.1),
+        ("sa2h", "width 0.25, bf16, exported, seed 1", 18.0, 4.2),
+        ("sa2h", "width 0.25, fp32, exported, seed 0, image-space", 40.0, 5.0),
+        ("shipped sa2h", "width 0.25, bf16, exported", 19.0, 3.9),
+    ]
+    errors = pd.DataFrame([(s, t, ms, "mae", e) for s, t, ms, e in points], columns=module.POINTS)
+    rows = [(s, t, "mae", frame, e + frame) for s, t, _, e in points for frame in range(3)]
+    worse = worse_than(pd.DataFrame(rows, columns=module.OF_FRAMES), "simulator, other scatterers", "rays 16")
+    shown = renderers(errors.merge(worse.drop(columns="worse"), "left", ["series", "setting", "metric"]), "rays 16")
+    names = (shown["series"] + " " + shown["setting"]).str.removeprefix("simulator, other scatterers ").str.strip()
+    simulated = ["re-simulation", "1 ray", "2 rays", "1 layer", "2 rays, 1 layer"]
+    assert names.tolist() == [*simulated, "formula", "sa2h bf16", "sa2h fp32", "shipped sa2h bf16"]
+    assert shown.set_index("setting").loc["bf16", "ms"].tolist() == [19.0, 19.0], "the fastest engine of the first seed"
+    assert shown.loc[0, ["worse_lower", "worse_upper"]].tolist() == [0, 0]
+    assert shown.loc[1, "worse_lower"] == pytest.approx(1 - 1 / 16)
 
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:
@@ -284,7 +339,7 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     ],
 )
 def test_how_far_a_reference_moves_an_error(metric: str, error: float, other: float, moved: float) -> None:
-    assert bench.relative_change(metric, error, other) == pytest.approx(moved)
+    assert relative_change(metric, error, other) == pytest.approx(moved)
 
 
 def test_the_best_within_a_budget_and_of_equal_ones_the_fastest() -> None:

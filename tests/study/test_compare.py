@@ -13,7 +13,7 @@ import ablate
 from ablate.analysis import RESIMULATION, find_design
 from ablate.evaluation import Scores
 from ablate.metrics import metric_of
-from ablate.settings.conf import components, read_components_from
+from ablate.settings.components import components, read_components_from
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, read_json, write_json
 from ablate.study.comparable import comparable_runs, levels_of, with_earlier
@@ -396,7 +396,7 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(study: Path, mo
     assert again() == before
     other_band = tuple(replace(component, band=1.0) for component in components())
     for changed, to in (("reading.components", other_band), ("compare.loaded_digest", "x")):  # or other statistics
-        monkeypatch.setattr(f"ablate.study.{changed}", lambda to=to: to)
+        monkeypatch.setattr(f"ablate.study.{changed}", lambda *_, to=to: to)
         later = again()
         assert later > before, changed
         before = later

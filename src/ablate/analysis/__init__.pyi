@@ -1,8 +1,10 @@
 from .caution_texts import cautions as cautions
 from .components import Component as Component
+from .components import Question as Question
 from .components import with_undeclared as with_undeclared
 from .figures.boxplot_figure import boxplot_panels as boxplot_panels
 from .figures.chi2_maps_figure import chi2_maps_figure as chi2_maps_figure
+from .figures.convergence_figure import convergence_figure as convergence_figure
 from .figures.forest_figure import forest_figure as forest_figure
 from .figures.preview_figure import preview_figure as preview_figure
 from .figures.qualitative_figure import frames_a_page as frames_a_page
@@ -19,7 +21,9 @@ from .leaderboard import to_text as to_text
 from .pictures import FramePictures as FramePictures
 from .report import write_report as write_report
 from .results import StudyResults as StudyResults
+from .scale import scale_length as scale_length
 from .scale import scale_table as scale_table
+from .scale import scaled_bands as scaled_bands
 from .scored import BASELINES as BASELINES
 from .scored import REFERENCE as REFERENCE
 from .scored import RESIMULATION as RESIMULATION

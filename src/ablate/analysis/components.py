@@ -2,12 +2,21 @@
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
 
 from ablate.setting import check_name
 
 DEPTH = "model.depth"
+
+
+class Question(StrEnum):
+    """What is asked of a component."""
+
+    earns = "earns"  # does it improve its metric?
+    saves = "saves"  # does it cost less, and is its metric not worse by the band?
 
 
 @dataclass(frozen=True)
@@ -33,12 +42,17 @@ class Component:
     metric : str, optional
         Name of the primary metric.
     band : float, optional
-        The improvement that is too small to matter, in units of the metric.
+        The change that is too small to matter, in units of the metric: where there is no scale.
+    share : float, optional
+        The same as a share of the way from the formula to re-simulation, which counts where a study has both.
+    question : Question
+        What is asked of it.
 
     Raises
     ------
     ValueError
-        When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
+        When the name cannot be part of a file name, the key is empty, or the band or the share is not a finite number
+        above 0.
     """
 
     name: str
@@ -49,35 +63,57 @@ class Component:
     purpose: str = ""
     metric: str | None = None
     band: float | None = None
+    share: float | None = None
+    question: Question = Question.earns
 
     @property
     def levels_on(self) -> tuple[object, ...]:
         """The levels with the component."""
         return self.on if isinstance(self.on, tuple) else (self.on,)
 
+    def compares(self, first: Any, second: Any) -> bool:
+        """Whether these two levels of its key are the ones that it was declared with."""
+        if self.key == DEPTH and self.off is not None:  # small frames may have a level less
+            declared = abs(self.on - self.off)  # type: ignore[operator]
+            return bool(abs(first - second) >= declared - 1)
+        levels = {first, second}
+        levels_on = set(self.levels_on)
+        off_is_compared = self.off is None or levels - levels_on == {self.off}
+        on_is_compared = self.on is None or len(levels & levels_on) == 1
+        return off_is_compared and on_is_compared
+
     def __post_init__(self) -> None:
         check_name("component", self.name)
         if not self.key:
             raise ValueError(f"component {self.name}: key is empty; allowed is a dotted key, as model.attenuation")
-        if self.band is not None and not (math.isfinite(self.band) and self.band > 0):
-            raise ValueError(f"component {self.name}: band={self.band}: allowed are finite numbers above 0")
+        for name, value in (("band", self.band), ("share", self.share)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"component {self.name}: {name}={value}: allowed are finite numbers above 0")
         if not self.label:
             object.__setattr__(self, "label", self.key.rpartition(".")[2])
 
 
-def with_undeclared(components: Sequence[Component], keys: Collection[str]) -> tuple[Component, ...]:
-    """The components, and one without a metric for each of the dotted keys that none of them switches."""
-    declared = {component.key for component in components}
+def key_of(factor: str) -> str:
+    """The dotted key of a factor of a design: `model.noise` of `model.noise=input`, one of several levels of a key."""
+    return factor.partition("=")[0]
+
+
+def with_undeclared(components: Sequence[Component], factors: Collection[str]) -> tuple[Component, ...]:
+    """The components, and one without a metric for each key of these factors that none of them switches."""
+    declared = dict.fromkeys(component.key for component in components)
+    keys = dict.fromkeys(key_of(factor) for factor in factors)
     short = short_keys([*declared, *keys])
     undeclared = [Component(name=short[key], key=key) for key in keys if key not in declared]
     return (*components, *undeclared)
 
 
-def short_keys(keys: Iterable[str]) -> dict[str, str]:
-    """By dotted key, how it is written in texts and figures: its last part, or the whole key where two end alike."""
+def short_keys(factors: Collection[str]) -> dict[str, str]:
+    """How factors are written in texts and figures: the last part of the key, or the key where two end alike."""
+    keys = dict.fromkeys(key_of(factor) for factor in factors)
     last = {key: key.rpartition(".")[2] for key in keys}
     count = Counter(last.values())
-    return {key: part if count[part] == 1 else key for key, part in last.items()}
+    short = {key: part if count[part] == 1 else key for key, part in last.items()}
+    return {factor: short[key_of(factor)] + factor.removeprefix(key_of(factor)) for factor in factors}
 
 
 def level_with(component: Component, levels: Sequence[object]) -> object:

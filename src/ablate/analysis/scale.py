@@ -1,8 +1,12 @@
 """The scale that networks stand on: 0 is the formula, which has no weights, and 1 is re-simulation."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import pandas as pd
 
-from ablate.analysis.scored import RESIMULATION, is_network
+from ablate.analysis.components import Component
+from ablate.analysis.scored import BASELINE_NAMES, RESIMULATION, finite_values, is_network
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import FORMULA
 
@@ -28,7 +32,45 @@ def scale_table(table: pd.DataFrame) -> pd.DataFrame:
     if not {FORMULA, RESIMULATION} <= set(means.index):
         return pd.DataFrame()
     formula, best = means.loc[FORMULA], means.loc[RESIMULATION]
-    order = [name for name in dict.fromkeys(table["metric"]) if metric_of(name).better in _JUDGED]
-    apart = [name for name in order if metric_of(name).badness(best[name]) < metric_of(name).badness(formula[name])]
+    order = [name for name in dict.fromkeys(table["metric"]) if scale_length(name, formula[name], best[name]) > 0]
     networks = [name for name in dict.fromkeys(table["variant"]) if is_network(pd.Series([name]))[0]]
-    return ((means - formula) / (best - formula)).loc[networks, apart]
+    return ((means - formula) / (best - formula)).loc[networks, order]
+
+
+def scale_length(metric: str, formula: float, resimulation: float) -> float:
+    """How much better re-simulation is than the formula, in units of the metric; 0 where the metric does not judge."""
+    judge = metric_of(metric)
+    return judge.badness(formula) - judge.badness(resimulation) if judge.better in _JUDGED else 0.0
+
+
+def scaled_bands(components: Sequence[Component], per_image: pd.DataFrame) -> tuple[Component, ...]:
+    """The components with the bands that count in a study: shares of its scale, where it has one.
+
+    Parameters
+    ----------
+    components : sequence of Component
+        As they are declared.
+    per_image : DataFrame
+        Columns variant, seed, frame, metric, value, data: one row a metric of a frame of a run or a baseline. The
+        scale is the mean of those of the data sets.
+
+    Returns
+    -------
+    tuple of Component
+        Where a share counts, the band is that share of the scale in units of the metric. Elsewhere the band is the
+        declared one, and the share is None.
+    """
+    baselines = finite_values(per_image)
+    baselines = baselines[baselines["variant"].isin(BASELINE_NAMES)]
+    by_data = baselines.groupby(["variant", "metric", *(["data"] if "data" in baselines else [])])["value"].mean()
+    means = by_data.groupby(["variant", "metric"]).mean()
+    bands = []
+    for component in components:
+        both = [(name, component.metric) for name in (FORMULA, RESIMULATION)]
+        known = component.share is not None and all(one in means.index for one in both)
+        length = scale_length(str(component.metric), *(float(means[one]) for one in both)) if known else 0.0
+        if component.share is not None and length > 0:
+            bands.append(replace(component, band=component.share * length))
+        else:
+            bands.append(replace(component, share=None))
+    return tuple(bands)

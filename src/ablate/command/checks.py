@@ -13,7 +13,8 @@ from ablate.dataset import label_values
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Family, Space, check_custom
 from ablate.setting import shown
-from ablate.settings.conf import components, shown_file, variant_names
+from ablate.settings.components import components, shown_file
+from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
 from ablate.sources.source import source_of
 from ablate.study.job import Job

@@ -14,7 +14,7 @@ from ablate.command.refusals import in_one_line
 from ablate.command.schema import settings
 from ablate.command.words import MULTIRUN, readable
 from ablate.networks import GeneratorSpec
-from ablate.settings.conf import components
+from ablate.settings.components import components
 from ablate.settings.study import ConfigurationError
 from ablate.study.job import Job, differences
 

@@ -14,7 +14,8 @@ from omegaconf import DictConfig
 
 from ablate.command.refusals import in_one_line
 from ablate.command.schema import register
-from ablate.settings.conf import conf_folder, read_components_from
+from ablate.settings.components import read_components_from
+from ablate.settings.conf import conf_folder
 
 CONFIG = "config"
 VERSION_BASE = "1.3"

@@ -13,7 +13,8 @@ from ablate.command.words import quoted
 from ablate.dataset.encoding import label_values
 from ablate.networks import GeneratorSpec, PatchDiscriminator, Space
 from ablate.networks.spec import Fold, rows_of_a_cell
-from ablate.settings.conf import components_of_networks, named_components, variant_names
+from ablate.settings.components import components_of_networks, named_components
+from ablate.settings.conf import variant_names
 from ablate.settings.study import StudySettings
 from ablate.study.job import Job, parameters
 from ablate.ultrasound.probe import fan_of

@@ -13,7 +13,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ablate.command.composed import CONFIG, composed, parsed, primary_name
 from ablate.setting import plain
-from ablate.settings.conf import CUSTOM, OF_OWN_NETWORK, keys, variant_names
+from ablate.settings.components import OF_OWN_NETWORK
+from ablate.settings.conf import CUSTOM, keys, variant_names
 from ablate.settings.study import StudySettings
 
 # Seeds and variants have places of their own.

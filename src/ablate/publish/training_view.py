@@ -17,7 +17,8 @@ from ablate.networks.spec import GeneratorSpec
 from ablate.publish.results_view import NOTE, publish_results
 from ablate.publish.store import Store, plain_files
 from ablate.setting import flat
-from ablate.settings.conf import OF_OWN_NETWORK, build, components, components_of_networks, named_components
+from ablate.settings.components import OF_OWN_NETWORK, components, components_of_networks, named_components
+from ablate.settings.conf import build
 from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
 from ablate.storage import check_unpacked, digest

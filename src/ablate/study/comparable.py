@@ -8,7 +8,7 @@ from typing import Any
 
 from ablate.analysis import listed
 from ablate.setting import flat
-from ablate.settings.conf import components
+from ablate.settings.components import components
 from ablate.settings.study import StudySettings
 from ablate.study.job import Job, differences, identity_key
 from ablate.study.run import Run, RunList, read_list

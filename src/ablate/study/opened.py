@@ -41,7 +41,7 @@ class Study:
     @cached_property
     def results(self) -> StudyResults:
         """Scores and what follows from them: tables, effects, verdicts; see `analysis.StudyResults`."""
-        return results_of(self.usable, self.reference)
+        return results_of(self.usable, self.reference, self.folder.name)
 
     @property
     def per_image(self) -> pd.DataFrame:

@@ -11,7 +11,7 @@ from ablate.analysis import BASELINES, REFERENCE, RESIMULATION, FramePictures, S
 from ablate.evaluation import formula_images
 from ablate.metrics.metric import BOUNDS, FORMULA, FRAME_TIME, MODEL, SCALAR_PREFIXES, is_bound
 from ablate.networks.spec import Family
-from ablate.settings.conf import NOT_OF_CUSTOM, components
+from ablate.settings.components import NOT_OF_CUSTOM, components
 from ablate.study.comparable import ComparableRuns, factors_of, levels_of
 from ablate.study.frame_times import formula_of, frame_times, timed_on
 from ablate.study.provenance import ABOUT_CODE
@@ -119,13 +119,24 @@ def provenance(runs: Sequence[Run]) -> dict[str, str]:
     return texts
 
 
-def results_of(usable: ComparableRuns, reference: str = REFERENCE) -> StudyResults:
-    """The scores of runs, which may show several anatomies, and the design that they make up; without pictures."""
+def results_of(usable: ComparableRuns, reference: str = REFERENCE, study: str = "") -> StudyResults:
+    """The scores of runs, which may show several anatomies, and the design that they make up; without pictures.
+
+    Parameters
+    ----------
+    usable : ComparableRuns
+        The runs.
+    reference : str
+        The variant that the others are compared with.
+    study : str
+        Its components are those that were registered for it.
+    """
     runs = usable.all
-    factors, declared = factors_of(runs), components()
+    factors = factors_of(runs)
+    declared = components(study)
     per_image, scalars = scored_frames(runs, reference)
     levels = {run.label: levels_of(run.identity) for run in runs}
-    design = analysis.find_design(levels, factors, reference)
+    design = analysis.find_design(levels, factors, reference, declared)
     means = analysis.run_means(per_image, scalars, design)
     anatomy_of = {run.data: str(run.identity["data"]["scene"].get("anatomy_seed", "")) for run in runs}
     means["data"] = means["data"].map(anatomy_of)
@@ -141,7 +152,7 @@ def results_of(usable: ComparableRuns, reference: str = REFERENCE) -> StudyResul
         blocks=per_image[per_image["data"] != compared],
         design=design,
         means=means,
-        components=analysis.with_undeclared(declared, factors),
+        components=analysis.scaled_bands(analysis.with_undeclared(declared, factors), per_image),
         varied=frozenset(factor for factor in factors if len(_levels_in(levels, factor)) > 1),
         spreads=spreads,
         machine=timed_on(runs),

@@ -6,7 +6,7 @@ from pathlib import Path
 from ablate.command.checks import check
 from ablate.command.describe import description
 from ablate.command.launch import Launch
-from ablate.settings.conf import said_of_components
+from ablate.settings.components import said_of_components
 from ablate.settings.study import ConfigurationError, Task, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.source import source_of

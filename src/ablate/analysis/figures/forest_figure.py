@@ -1,4 +1,4 @@
-"""Which components earn their keep, in one picture: effects with intervals, costs, and the map of interactions."""
+"""What each component earns or saves, in one picture: effects with intervals, costs, and the map of interactions."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 
-from ablate.analysis.components import Component
+from ablate.analysis.components import Component, Question
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
 from ablate.analysis.results import StudyResults
@@ -22,7 +22,13 @@ HEAD_IN = 0.9
 CELL_IN = 0.27  # of the map of interactions
 FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
-COLOURS = {Verdict.earns: "#007A55", Verdict.does_not: "#B04A00", Verdict.undecided: "#555555"}
+COLOURS = {
+    Verdict.earns: "#007A55",
+    Verdict.saves: "#007A55",
+    Verdict.does_not: "#B04A00",
+    Verdict.harms: "#B04A00",
+    Verdict.undecided: "#555555",
+}
 MAP_NOTE = """Half of the difference between
 a component's improvement (row)
 with and without another
@@ -125,7 +131,10 @@ def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
         axes.text(x, len(shown) + 0.72, head, ha=side, va="center", color="#666666")
     for place, row in zip(range(len(shown), 0, -1), shown.to_dict("records"), strict=True):
         verdict = Verdict(row["verdict"])
-        axes.text(0.03, place, verdict.replace("_", " "), va="center", weight="bold", color=COLOURS[verdict])
+        word = verdict.replace("_", " ")
+        if row["question"] == Question.saves and verdict is Verdict.undecided:
+            word = "undecided (saves?)"
+        axes.text(0.03, place, word, va="center", weight="bold", color=COLOURS[verdict])
         time = _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0)
         axes.text(0.66, place, time, ha="right", va="center")
         axes.text(1.0, place, _signed(row["parameters"] / 1000, 0, "k"), ha="right", va="center")
@@ -171,7 +180,12 @@ def _of_study(results: StudyResults, folder: Path) -> Iterator[Drawing]:
         results.components,
         folder / "verdicts",
     )
-    yield Drawing(files, facts={"design": results.design})
+    yield Drawing(files, facts={"design": results.design, "saving": asks_to_save(results.verdicts)})
+
+
+def asks_to_save(verdicts: pd.DataFrame) -> bool:
+    """Whether one of the components that are shown is to save."""
+    return bool((verdicts.loc[verdicts["effect"].notna(), "question"] == Question.saves).any())
 
 
 VERDICTS = StudyFigure(name="verdicts", section=Section.verdicts, draw=_of_study, place=10)

@@ -1,4 +1,4 @@
-"""Work against precision: error against time, of networks and of the simulator beside them."""
+"""Work against precision: how much worse than re-simulation renderers are, against the time of a frame."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -7,42 +7,33 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from ablate.analysis.components import Component
+from ablate.analysis.figures.point_names import write_names
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import (
     PAGE_IN,
     baseline_line,
     colour_of,
     house_style,
-    legend_entries,
     new_figure,
+    one_legend,
     save_figure,
     shown_name,
 )
 from ablate.analysis.results import StudyResults
+from ablate.analysis.scored import BASELINE_NAMES
 from ablate.analysis.statistics.work_precision import pareto_front, runtime_points
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import BOUNDS
 
-# The simulator with speckle of its own, as a generator has: only this series compares fairly with a trained run.
-OTHER_SPECKLE = "simulator, other scatterers"
-# Series of the simulator: colour, marker, line and size. All others are trained runs.
-SIMULATOR: dict[str, tuple[str, str, str, float]] = {
-    "simulator, rays": ("#000000", "o", "-", 3.5),
-    "simulator, layers": ("#666666", "s", "none", 4.0),
-    "simulator, scanlines": ("#666666", "^", "none", 4.5),
-    "simulator, axial samples": ("#666666", "v", "none", 4.5),
-    OTHER_SPECKLE: ("#AAAAAA", "x", "none", 3.5),
-}
-# Of these the first and the last setting is written beside its point.
-_LABELLED = ("simulator, rays", "simulator, layers", "simulator, scanlines")
-_RUN_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
-_ENGINE_FILL = {"eager": "none", "exported": "full"}
-_LOGARITHMIC_FROM = 5.0  # ratio of the largest error to the smallest
+#: Begins the names of the simulator's settings, with scatterers of their own as a network has.
+SIMULATOR = "simulator"
+SIMULATOR_COLOUR = "#888888"
+#: Columns that points may have: the ends of an interval over frames of how much worse than re-simulation one is.
+WORSE_BOUNDS = ("worse_lower", "worse_upper")
+_PANEL_IN = 3.1
+_FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
 
 
 def error_vs_runtime(
@@ -52,18 +43,21 @@ def error_vs_runtime(
     hardware: str = "",
     components: Sequence[Component] = (),
 ) -> list[Path]:
-    """Draw error against time, a panel a metric, with the Pareto front and re-simulation.
+    """Draw how much worse than re-simulation renderers are that do not know the scatterers, a panel a metric.
+
+    Axes are linear, every point has its name, and the grey line is the Pareto front.
 
     Parameters
     ----------
     points : DataFrame
-        Columns series, setting, ms, metric, error (as `precision.csv`). The keys of `SIMULATOR` are the simulator's
-        series, all others are trained runs. Columns lower and upper, where they are, are the spread of the times, and a
-        difference within it puts no point on the front.
+        Columns series, setting, ms, metric, error: a row a renderer and a metric. Both of the first two are its name;
+        a series that begins with `SIMULATOR` is named by its setting alone. Columns lower and upper, where they are,
+        are the spread of the times, and a difference within it puts no point on the front. Those of `WORSE_BOUNDS` are
+        the interval of the ordinate over frames.
     stem : Path
         Of the files, without suffix.
     floors : mapping of str to float, optional
-        The re-simulation's value by metric.
+        The re-simulation's value by metric; without it, and of a metric that does not judge, the error itself is drawn.
     hardware : str
         The device that the times were measured on, written on the figure.
     components : sequence of Component
@@ -84,97 +78,84 @@ def error_vs_runtime(
     if not metrics:
         raise ValueError("no finite point with a positive time to draw")
     across = min(len(metrics), 2)
-    free_cells = -len(metrics) % across
-    cells = metrics + ["legend"] * free_cells
-    rows = [cells[k : k + across] for k in range(0, len(cells), across)]
-    runs = {name: shown_name(name, components) for name in points["series"] if name not in SIMULATOR}
+    down = -(-len(metrics) // across)
+    names = {name: shown_name(name, components) for name in points["series"] if not name.startswith(SIMULATOR)}
     with house_style():
-        legend_in = 0.0 if free_cells else 0.6
-        figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, 2.3 * len(rows) + legend_in)
-        grid = figure.subplot_mosaic(rows)
-        for metric in metrics:
-            floor = None if floors is None else floors.get(metric)
-            _draw_panel(grid[metric], points[points["metric"] == metric], metric, floor, runs)
-        handles = legend_entries([grid[metric] for metric in metrics])
-        settings = points.loc[points["series"].isin(list(runs)), "setting"]
-        for engine in _ENGINE_FILL:  # what a marker's fill means comes last
-            if settings.str.contains(engine).any():
-                handles[f"run, {engine}"] = Line2D([], [], ls="none", **_marker("#555555", "D", engine))
-        style: dict[str, Any] = {"frameon": False, "handlelength": 1.5, "columnspacing": 1.0}
-        if free_cells:
-            grid["legend"].set_axis_off()
-            grid["legend"].legend(handles.values(), handles.keys(), loc="center", ncols=2, fontsize=6, **style)
-        else:
-            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=across + 1, **style)
+        figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, _PANEL_IN * down)
+        grid = list(figure.subplots(down, across, squeeze=False).ravel())
+        for axes in grid[len(metrics) :]:
+            axes.set_axis_off()
+        drawn = [
+            _draw_panel(axes, points[points["metric"] == metric], metric, (floors or {}).get(metric), names)
+            for axes, metric in zip(grid, metrics, strict=False)
+        ]
+        one_legend(figure, grid[: len(metrics)], 3)
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
+        figure.draw_without_rendering()  # so that the panels have their places
+        for axes, (labels, x, y) in zip(grid, drawn, strict=False):
+            write_names(axes, labels, x, y)
         return save_figure(figure, stem)
 
 
-def _marker(colour: str, marker: str, engine: str) -> dict[str, Any]:
-    return {"marker": marker, "color": colour, "ms": 5, "mew": 0.8, "fillstyle": _ENGINE_FILL[engine]}
-
-
-def _draw_panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None, runs: Mapping[str, str]) -> None:
-    """Every point of one metric; `runs` has the shown name of every trained run."""
-    for name in SIMULATOR:
-        _draw_simulator(axes, points[points["series"] == name], name)
-    for number, name in enumerate(runs):
-        marker = _RUN_MARKERS[number % len(_RUN_MARKERS)]
-        _draw_run(axes, points[points["series"] == name], runs[name], colour_of(name, list(runs)), marker)
-    error = points["error"].to_numpy(dtype=np.float64)
-    decibels = metric_of(metric).better is Direction.higher  # PSNR is a logarithm already
-    if not decibels and error.min() > 0 and error.max() > _LOGARITHMIC_FROM * error.min():
-        axes.set_yscale("log")
-        _plain_numbers(axes.yaxis)
-    fair = points[points["series"].isin([*runs, OTHER_SPECKLE])]
-    _draw_front(axes, points if fair.empty else fair, metric)
-    if floor is not None:
-        axes.axhline(floor, lw=0.9, **baseline_line(metric))
-    axes.set(xscale="log", xlabel="median time, ms/frame", ylabel=metric_of(metric).title)
-    _plain_numbers(axes.xaxis)
-
-
-def _draw_simulator(axes: Axes, points: pd.DataFrame, name: str) -> None:
-    """One series of the simulator, with the first and the last setting where these are written."""
-    if points.empty:
-        return
-    colour, marker, line, size = SIMULATOR[name]
-    style: dict[str, Any] = {"marker": marker, "ls": line, "ms": size, "lw": 0.8, "color": colour, "label": name}
-    axes.plot(points["ms"], points["error"], **style)
-    if name in _LABELLED:
-        for _, end in points.iloc[[0, -1]].iterrows():
-            shift: dict[str, Any] = {"xytext": (4, 3), "textcoords": "offset points"}
-            axes.annotate(str(end["setting"]), (end["ms"], end["error"]), fontsize=6, color=colour, **shift)
-
-
-def _draw_run(axes: Axes, points: pd.DataFrame, label: str, colour: str, marker: str) -> None:
-    """The points of one trained run, with the spread of their times where it is known."""
-    for point in points.to_dict("records"):
-        engine = next((name for name in _ENGINE_FILL if name in str(point["setting"])), "exported")
-        if "lower" in point:
-            span = [[point["ms"] - point["lower"]], [point["upper"] - point["ms"]]]
-            axes.errorbar(point["ms"], point["error"], xerr=span, color=colour, lw=0.8, capsize=1.5)
-        axes.plot(point["ms"], point["error"], ls="none", label=label, **_marker(colour, marker, engine))
-
-
-def _draw_front(axes: Axes, points: pd.DataFrame, metric: str) -> None:
-    """The Pareto front of these points, where the metric says what is better."""
+def _draw_panel(
+    axes: Axes, points: pd.DataFrame, metric: str, floor: float | None, names: Mapping[str, str]
+) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Draw every point of one metric; returns their names, (n,), and places, (n,) each."""
     judge = metric_of(metric)
-    if judge.better is Direction.none:
-        return
-    ms = points["ms"].to_numpy(dtype=np.float64)
-    error = points["error"].to_numpy(dtype=np.float64)
-    spread = [points[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in points]
-    front = pareto_front(ms, np.array([judge.badness(value) for value in error]), *spread)
-    axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
+    relative = floor is not None and judge.better in (Direction.lower, Direction.higher)
+    badness = np.array([judge.badness(value) for value in points["error"]])
+    points = points.assign(y=badness - judge.badness(float(floor or 0.0)) if relative else points["error"])
+    points = points.assign(name=[_name(point, names) for point in points.to_dict("records")])
+    simulated = points["series"].str.startswith(SIMULATOR)
+    most = _FARTHEST * points.loc[simulated, "y"].max() if relative and simulated.any() else np.inf
+    beyond = points[points["y"] > most]
+    shown, badness = points[points["y"] <= most], badness[(points["y"] <= most).to_numpy()]
+    for point in shown.to_dict("records"):
+        is_simulator = str(point["series"]).startswith(SIMULATOR)
+        colour = SIMULATOR_COLOUR if is_simulator else _colour_of(point["series"], list(names))
+        _draw_spread(axes, point, colour, relative)
+        style: dict[str, Any] = {"ls": "none", "color": colour, "ms": 4.5, "marker": "x" if is_simulator else "o"}
+        axes.plot(point["ms"], point["y"], **style)
+    ms, y = (shown[name].to_numpy(dtype=np.float64) for name in ("ms", "y"))
+    if judge.better is not Direction.none:
+        spread = [shown[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in shown]
+        front = pareto_front(ms, badness, *spread)
+        axes.step(ms[front], y[front], where="post", color="#CCCCCC", lw=3, zorder=0, label="Pareto front")
+    if floor is not None:
+        axes.axhline(0.0 if relative else floor, lw=0.9, **baseline_line(metric))
+    if len(beyond):
+        told = [f"{point['name']}: {point['y']:+.{judge.decimals}f}" for point in beyond.to_dict("records")]
+        axes.set_title("beyond the axis: " + "; ".join(told), fontsize=6, color="#555555")
+    side = "below" if judge.better is Direction.higher else "above"
+    unit = f" ({judge.unit})" if judge.unit else ""
+    axes.set(
+        xlabel="median time, ms a frame",
+        ylabel=f"{judge.label} {side} re-simulation{unit}" if relative else judge.title,
+    )
+    axes.set_xlim(left=0.0)
+    axes.margins(x=0.15, y=0.1)
+    return list(shown["name"]), ms, y
 
 
-def _plain_numbers(axis: Axis) -> None:
-    """Write a logarithmic axis in plain decimal numbers."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FormatStrFormatter("%g"))
-    axis.set_minor_formatter(NullFormatter())
+def _name(point: Mapping[Any, Any], names: Mapping[str, str]) -> str:
+    """What a point is called: its series and its setting; of the simulator its setting alone."""
+    return ", ".join(filter(None, [names.get(str(point["series"]), ""), str(point["setting"])]))
+
+
+def _colour_of(name: str, names: Sequence[str]) -> str:
+    return "#444444" if name in BASELINE_NAMES else colour_of(name, [one for one in names if one not in BASELINE_NAMES])
+
+
+def _draw_spread(axes: Axes, point: Mapping[Any, Any], colour: str, relative: bool) -> None:
+    """The spread of a point's time and the interval of its error, where they are known."""
+    style: dict[str, Any] = {"color": colour, "lw": 0.8, "zorder": 1}
+    sides = [point.get(side, np.nan) for side in BOUNDS]
+    if np.isfinite(sides).all():
+        axes.plot(sides, [point["y"]] * 2, **style)
+    ends = [point.get(side, np.nan) for side in WORSE_BOUNDS]
+    if relative and np.isfinite(ends).all():
+        axes.plot([point["ms"]] * 2, ends, **style)
 
 
 def _of_study(results: StudyResults, folder: Path) -> Iterator[Drawing]:

@@ -1,24 +1,36 @@
 """The model of the metric that a component is judged by, and where its effect stands in it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from enum import StrEnum
 
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.components import DEPTH, Component, level_with, with_undeclared
+from ablate.analysis.components import Component, key_of, level_with, with_undeclared
 from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.effects import LinearModel, fit_effects
 from ablate.metrics import Direction, Group, metric_of
 from ablate.metrics.metric import FRAME_TIME
 
 COSTS = (FRAME_TIME, "parameters")  # some runs may lack them: a factor is then told by the others, or not at all
+ALPHA = 0.05
+_ROUNDING = 1e-6  # of a cost that least squares give
 UNDECLARED = "no primary metric and band were declared for it before the runs"
 
 
-def require_judged(component: Component, design: Design | None) -> tuple[str, float]:
-    """A component's metric and band; raises ValueError where it cannot be judged by them, and the message says why."""
+class ErrorOf(StrEnum):
+    """Whose spread the error of a component's tests is."""
+
+    all = "all"  # of all runs of the design, pooled
+    own = "own"  # of the runs with it and of those without it, each side by itself
+
+
+def require_judged(component: Component, design: Design | None) -> tuple[str, float, str]:
+    """A component's metric, its band, and the factor of the design that switches it.
+
+    Raises ValueError where it cannot be judged by them, and the message says why.
+    """
     if component.metric is None or component.band is None:
         raise ValueError(UNDECLARED)
     judge = metric_of(component.metric)
@@ -26,30 +38,21 @@ def require_judged(component: Component, design: Design | None) -> tuple[str, fl
         raise ValueError("its metric is not known to this command: name it in metrics=")
     if judge.better is Direction.none or judge.group is Group.cost:  # all runs of a network have one measured time
         raise ValueError("it has no metric that judges it")
-    if design is None or component.key not in design.factors:
+    factors = [] if design is None else [name for name in design.factors if key_of(name) == component.key]
+    if design is None or not factors:
         raise ValueError("no run goes without it")
-    first, second = design.cells[component.key].cat.categories
-    if not _compare_declared_levels(component, first, second):
-        raise ValueError(f"the runs compare {first} with {second}")
-    return component.metric, component.band
-
-
-def _compare_declared_levels(component: Component, first: Any, second: Any) -> bool:
-    """Whether these two levels of its factor are the ones that a component was declared with."""
-    if component.key == DEPTH and component.off is not None:  # small frames may have a level less
-        declared = abs(component.on - component.off)  # type: ignore[operator]
-        return bool(abs(first - second) >= declared - 1)
-    levels = {first, second}
-    levels_on = set(component.levels_on)
-    off_is_compared = component.off is None or levels - levels_on == {component.off}
-    on_is_compared = component.on is None or len(levels & levels_on) == 1
-    return off_is_compared and on_is_compared
+    for factor in factors:
+        if component.compares(*design.cells[factor].cat.categories):
+            return component.metric, component.band, factor
+    first = design.cells[factors[0]].cat.categories[0]
+    others = " and ".join(str(design.cells[factor].cat.categories[1]) for factor in factors)
+    raise ValueError(f"the runs compare {first} with {others}")
 
 
 def judged_components(
     means: pd.DataFrame, design: Design | None, components: Sequence[Component], interactions: bool = True
-) -> Iterator[tuple[Component, LinearModel]]:
-    """The components that can be judged, each with the model of its primary metric.
+) -> Iterator[tuple[Component, str, LinearModel]]:
+    """The components that can be judged, each with its factor and the model of its primary metric.
 
     Parameters
     ----------
@@ -64,8 +67,8 @@ def judged_components(
     """
     for component in components:
         with suppress(ValueError):
-            metric, _ = require_judged(component, design)
-            yield component, fitted(metric, means, design, components, interactions)
+            metric, _, factor = require_judged(component, design)
+            yield component, factor, fitted(metric, means, design, components, interactions)
 
 
 def fitted(
@@ -127,27 +130,31 @@ def runs_by(metric: str, means: pd.DataFrame, design: Design, components: Sequen
 
 def levels_on(design: Design, components: Sequence[Component]) -> dict[str, object]:
     """By factor of a design, the level that has the component."""
-    switched = {component.key: component for component in with_undeclared(components, design.factors)}
-    return {
-        factor: level_with(switched[factor], list(design.cells[factor].cat.categories)) for factor in design.factors
-    }
+    known = with_undeclared(components, design.factors)
+    levels = {}
+    for factor in design.factors:
+        pair = list(design.cells[factor].cat.categories)
+        of_key = [component for component in known if component.key == key_of(factor)]
+        declared = [component for component in of_key if component.compares(*pair)]
+        levels[factor] = level_with([*declared, *of_key][0], pair)
+    return levels
 
 
-def average_effect(component: Component, model: LinearModel) -> np.ndarray:
-    """(terms,) weights of the effect of a component, averaged over the others."""
-    return np.array([term == (component.key,) for term in model.terms], dtype=np.float64)
+def average_effect(factor: str, model: LinearModel) -> np.ndarray:
+    """(terms,) weights of the effect of a component, by its factor, averaged over the others."""
+    return np.array([term == (factor,) for term in model.terms], dtype=np.float64)
 
 
-def effect_at_full(component: Component, model: LinearModel, has: pd.DataFrame) -> np.ndarray:
+def effect_at_full(factor: str, model: LinearModel, has: pd.DataFrame) -> np.ndarray:
     """(terms,) weights of the effect of a component where all others are on; NaN where the runs cannot tell it.
 
-    `has` says which components each cell has.
+    `has` says which components each cell has, a column a factor.
     """
-    weights = np.array([component.key in term for term in model.terms], dtype=np.float64)
-    others = [key for key in has if key != component.key]
-    beside_all_others = has.loc[has[others].all(axis=1), component.key]
+    weights = np.array([factor in term for term in model.terms], dtype=np.float64)
+    others = [name for name in has if name != factor]
+    beside_all_others = has.loc[has[others].all(axis=1), factor]
     terms = {frozenset(term) for term in model.terms}
-    in_model = all(frozenset([component.key, other]) in terms for other in others)
+    in_model = all(frozenset([factor, other]) in terms for other in others)
     if beside_all_others.nunique() < 2 and not in_model:
         return weights * np.nan
     return weights
@@ -156,3 +163,37 @@ def effect_at_full(component: Component, model: LinearModel, has: pd.DataFrame) 
 def sign_of(component: Component) -> int:
     """1 where larger values of its metric are better, and -1 where smaller ones are."""
     return 1 if metric_of(str(component.metric)).better is Direction.higher else -1
+
+
+def error_of(model: LinearModel, weights: np.ndarray, term: int) -> tuple[float, float, ErrorOf]:
+    """The standard error that an effect is tested by, its degrees of freedom, and whose spread it is.
+
+    It is that of each side by itself where that is larger, and an F-test at 5 % finds that the sides vary differently.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Of the metric.
+    weights : (terms,) float
+        Of the effect.
+    term : int
+        The component's own term, whose sides are the runs with it and those without it.
+    """
+    _, pooled = model.contrast(weights)
+    own, dof, p_alike = model.own_error(weights, term)
+    if p_alike < ALPHA and own > pooled:
+        return own, dof, ErrorOf.own
+    return pooled, model.dof, ErrorOf.all
+
+
+def added_costs(factor: str, model_of: Callable[[str], LinearModel], spreads: Mapping[str, float]) -> dict[str, float]:
+    """What a component adds, by cost that was measured with it and without; 0 where it is within the spread."""
+    costs = {}
+    for cost in COSTS:
+        with suppress(ValueError):  # not measured
+            model = model_of(cost)
+            weights = average_effect(factor, model)
+            if weights.any():
+                added, _ = model.contrast(weights)
+                costs[cost] = added if abs(added) > spreads.get(cost, _ROUNDING) else 0.0
+    return costs

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.components import short_keys
+from ablate.analysis.components import Component, short_keys
 from ablate.analysis.scored import REFERENCE, finite_values, is_network, judged_metrics
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
 from ablate.analysis.statistics.paired import holm, where_known
@@ -26,8 +26,9 @@ class Design:
     Attributes
     ----------
     cells : DataFrame
-        One row a label, indexed by it: a categorical column for each component that varies, named by its dotted
-        configuration key, the reference's level first.
+        One row a label, indexed by it: a categorical column for each factor, the reference's level first. It is named
+        by its dotted configuration key; where a key has several other levels, each is a factor, `model.noise=input`,
+        and the labels with another one count as the reference there.
     name : str
         What kind of experiment it is.
     reading : str
@@ -40,12 +41,15 @@ class Design:
 
     @property
     def factors(self) -> list[str]:
-        """Dotted keys of the components that vary."""
+        """What varies, by the names of the columns."""
         return list(self.cells.columns)
 
 
 def find_design(
-    runs: Mapping[str, Mapping[str, object]], factors: Sequence[str], reference: str = REFERENCE
+    runs: Mapping[str, Mapping[str, object]],
+    factors: Sequence[str],
+    reference: str = REFERENCE,
+    components: Sequence[Component] = (),
 ) -> Design | None:
     """Find the design that the labels of a study make up around its reference; None if no component varies.
 
@@ -58,6 +62,8 @@ def find_design(
         in a third level of one, is left out.
     reference : str
         Where it is missing, the label that most others are one change away from stands in for it.
+    components : sequence of Component, optional
+        A third level of a key is kept where one of these compares it with the reference's.
     """
     if not runs:
         return None
@@ -70,18 +76,21 @@ def find_design(
         for label, run in runs.items()
         if all(run[key] == base[key] for key in others & run.keys())
     }
-    levels = _two_levels(comparable, reference)
+    here = comparable[reference]
+    others_of = _other_levels(comparable, reference, components)
     kept = [
         label
         for label, run in comparable.items()
-        if all(run.get(factor) in two_levels for factor, two_levels in levels.items())
+        if all(run.get(key) in (here[key], *levels) for key, levels in others_of.items())
     ]
     kept.sort(key=lambda label: label != reference)
-    cells = {
-        factor: pd.Categorical([comparable[label][factor] for label in kept], two_levels)
-        for factor, two_levels in levels.items()
-        if len({comparable[label][factor] for label in kept}) == 2
-    }
+    cells = {}
+    for key, levels in others_of.items():
+        present = [level for level in levels if any(comparable[label][key] == level for label in kept)]
+        for level in present:
+            factor = key if len(present) == 1 else f"{key}={level}"
+            has = [level if comparable[label][key] == level else here[key] for label in kept]
+            cells[factor] = pd.Categorical(has, [here[key], level])
     if not cells:
         return None
     design = _read(pd.DataFrame(cells, index=kept))
@@ -108,13 +117,17 @@ def _with_most_neighbours(runs: Mapping[str, Mapping[str, object]]) -> str:
     return max(runs, key=neighbours)
 
 
-def _two_levels(runs: Mapping[str, Mapping[str, object]], reference: str) -> dict[str, list[object]]:
-    """By factor that varies, the reference's level and the one that most other runs have."""
+def _other_levels(
+    runs: Mapping[str, Mapping[str, object]], reference: str, components: Sequence[Component]
+) -> dict[str, list[object]]:
+    """By key that varies, the level that most runs have beside the reference's, then others that are declared."""
     levels = {}
-    for factor, level in runs[reference].items():
-        others = [run[factor] for run in runs.values() if run.get(factor, level) != level]
+    for key, here in runs[reference].items():
+        others = [run[key] for run in runs.values() if run.get(key, here) != here]
         if others:
-            levels[factor] = [level, max(dict.fromkeys(others), key=others.count)]
+            of_key = [component for component in components if component.key == key]
+            compared = [o for o in dict.fromkeys(others) if any(c.compares(here, o) for c in of_key)]
+            levels[key] = list(dict.fromkeys([max(dict.fromkeys(others), key=others.count), *compared]))
     return levels
 
 

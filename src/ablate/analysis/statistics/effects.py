@@ -31,6 +31,9 @@ class LinearModel:
     aliases: dict[tuple[str, ...], str]  # what the runs cannot tell from a term; empty where there is nothing
     residuals: np.ndarray  # (runs,)
     spread: np.ndarray  # (terms, 2) bool, whether runs of a cell differ on the first and the second side of each effect
+    influence: np.ndarray  # (terms, runs), what an effect changes by, by what a run changes by
+    freedom: np.ndarray  # (runs,), the share of each run's error that its residual keeps; their sum is `dof`
+    second: np.ndarray  # (terms, runs) bool, whether a run is on the second side of each effect
 
     def is_tested(self, term: int) -> bool:
         """Whether an effect has an interval: there are enough runs on both sides, and they tell the error.
@@ -43,16 +46,55 @@ class LinearModel:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
         return float(weights @ self.effects), float(np.sqrt(weights @ self.covariance @ weights))
 
+    def own_error(self, weights: np.ndarray, term: int) -> tuple[float, float, float]:
+        """The standard error of a weighted sum where the two sides of an effect vary differently.
+
+        Each side has the variance of its own residuals. Of two networks this is Welch's test (1947).
+
+        Parameters
+        ----------
+        weights : (terms,) float
+            Of the sum.
+        term : int
+            The effect.
+
+        Returns
+        -------
+        error, dof, p : float
+            The standard error, its degrees of freedom by Satterthwaite, and the p-value of the F-test that the sides
+            vary alike. NaN where a side tells no variance.
+        """
+        sides = np.stack([~self.second[term], self.second[term]])
+        dof = sides @ self.freedom
+        if dof.min() < 1 - 1e-9:
+            return np.nan, np.nan, np.nan
+        variances = sides @ self.residuals**2 / dof
+        parts = variances * (sides @ (weights @ self.influence) ** 2)
+        if not variances.min() > 0:
+            return np.nan, np.nan, np.nan
+        ratio = variances[1] / variances[0]
+        tails = stats.f.sf(ratio, dof[1], dof[0]), stats.f.cdf(ratio, dof[1], dof[0])
+        return float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / np.sum(parts**2 / dof)), float(2 * min(tails))
+
     def interval(self, weights: np.ndarray) -> tuple[float, float]:
         """The ends of the 95 % interval of a weighted sum of the effects."""
         effect, error = self.contrast(weights)
-        reach = float(stats.t.ppf((1 + LEVEL) / 2, self.dof)) * error
-        return effect - reach, effect + reach
+        return t_interval(effect, error, self.dof)
 
     def p_value(self, weights: np.ndarray) -> float:
         """The two-sided p-value of Student's t-test that a weighted sum of the effects is zero."""
-        effect, error = self.contrast(weights)
-        return float(2 * stats.t.sf(abs(effect) / error, self.dof)) if error > 0 else float(effect == 0)
+        return t_test(*self.contrast(weights), self.dof)
+
+
+def t_interval(effect: float, error: float, dof: float) -> tuple[float, float]:
+    """The ends of the 95 % interval of an effect with a standard error."""
+    reach = float(stats.t.ppf((1 + LEVEL) / 2, dof)) * error
+    return effect - reach, effect + reach
+
+
+def t_test(effect: float, error: float, dof: float) -> float:
+    """The two-sided p-value of Student's t-test that an effect with a standard error is zero."""
+    return float(2 * stats.t.sf(abs(effect) / error, dof)) if error > 0 else float(effect == 0)
 
 
 def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool = True) -> LinearModel:
@@ -97,16 +139,21 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
     dof = len(runs) - design.shape[1]
     variance = np.sum(residuals**2) / dof if dof > 0 else np.nan
     of_terms = slice(1, 1 + len(terms))
-    changed = np.count_nonzero(design[:, of_terms] > 0, axis=0)
+    inverse = linalg.inv(design.T @ design)
+    second = design[:, of_terms] > 0
+    changed = np.count_nonzero(second, axis=0)
     return LinearModel(
         terms=tuple(terms),
         effects=estimate[of_terms],
-        covariance=variance * linalg.inv(design.T @ design)[of_terms, of_terms],
+        covariance=variance * inverse[of_terms, of_terms],
         dof=dof,
         runs=np.column_stack([len(runs) - changed, changed]),
         aliases=_aliases(signs, factors, terms, blocks),
         residuals=residuals,
-        spread=_spread(runs, signs, design[:, of_terms] > 0, rounding) & residuals.any(),
+        spread=_spread(runs, signs, second, rounding) & residuals.any(),
+        influence=(inverse @ design.T)[of_terms],
+        freedom=1 - np.einsum("ij,jk,ik->i", design, inverse, design),
+        second=second.T,
     )
 
 

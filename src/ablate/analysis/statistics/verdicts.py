@@ -1,7 +1,6 @@
-"""Which components earn their keep: each on its one primary metric, by a rule that was written down before the runs."""
+"""What is known of components: each on its one primary metric, by a rule that was written down before the runs."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from enum import StrEnum
 from functools import cache
 
@@ -9,12 +8,15 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.components import Component, with_undeclared
+from ablate.analysis.components import Component, Question, short_keys, with_undeclared
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.component_models import (
+    ALPHA,
     COSTS,
+    added_costs,
     average_effect,
     effect_at_full,
+    error_of,
     fitted,
     judged_components,
     levels_on,
@@ -23,11 +25,10 @@ from ablate.analysis.statistics.component_models import (
     sign_of,
 )
 from ablate.analysis.statistics.designs import Design
-from ablate.analysis.statistics.effects import LinearModel
+from ablate.analysis.statistics.effects import LinearModel, t_interval, t_test
 from ablate.analysis.statistics.paired import holm, where_known
 from ablate.metrics import metric_of
 
-ALPHA = 0.05
 _TYPES = {  # of the columns
     "component": "object",
     "metric": "object",
@@ -41,7 +42,7 @@ _TYPES = {  # of the columns
     "verdict": "object",
     "better": "object",
     "p_band_holm": "float64",
-    "dof": "Int64",
+    "dof": "float64",
     "full_effect": "float64",
     "full_lower": "float64",
     "full_upper": "float64",
@@ -49,21 +50,26 @@ _TYPES = {  # of the columns
     "most": "float64",
     "ms_per_frame": "float64",
     "parameters": "float64",
+    "question": "object",
+    "share": "float64",
+    "error": "object",
     "why": "object",
 }
 VERDICT_COLUMNS = tuple(_TYPES)
 
 
 class Verdict(StrEnum):
-    """What is known of a component: it earns its keep, it does not, or the runs cannot tell."""
+    """What is known of a component, by what was asked of it; `undecided` where the runs cannot tell."""
 
     earns = "earns"
     does_not = "does_not"
+    saves = "saves"
+    harms = "harms"
     undecided = "undecided"
 
 
 def verdict(improvement: float, p_holm: float, p_band_holm: float) -> Verdict:
-    """The rule. Both p-values are corrected over the components (Holm), each family at 5 %.
+    """The rule for a component that is to earn its keep. Both p-values are corrected (Holm), each family at 5 %.
 
     1. `does_not`: the improvement is smaller than the band (one-sided test, `p_band_holm`). This includes harm, and an
        improvement above zero that is too small to matter.
@@ -75,6 +81,20 @@ def verdict(improvement: float, p_holm: float, p_band_holm: float) -> Verdict:
     return Verdict.earns if p_holm < ALPHA and improvement > 0 else Verdict.undecided
 
 
+def saving_verdict(improvement: float, p_holm: float, p_band_holm: float, cheaper: bool) -> Verdict:
+    """The rule for a component that is to save: not worse by the band, at a lower cost (a test of non-inferiority).
+
+    1. `saves`: it is `cheaper`, and the harm is smaller than the band (one-sided test, `p_band_holm`). This includes
+       an improvement, and a harm above zero that is too small to matter.
+    2. Else `harms`: the metric gets worse (two-sided test against zero, `p_holm`, and its sign), unless the harm is
+       smaller than the band.
+    3. Else `undecided`.
+    """
+    if p_band_holm < ALPHA:
+        return Verdict.saves if cheaper else Verdict.undecided
+    return Verdict.harms if p_holm < ALPHA and improvement < 0 else Verdict.undecided
+
+
 def verdict_table(
     means: pd.DataFrame,
     design: Design | None,
@@ -84,7 +104,9 @@ def verdict_table(
     """Judge every component on its primary metric, from one mean a run.
 
     Effects, intervals and p-values are those of `fit_effects`: main effects, two-way interactions and blocks, with one
-    error pooled over all runs of the design. A metric that is best at 0 enters by the absolute value of a run's mean.
+    error pooled over all runs of the design. Where an F-test at 5 % finds that the runs with a component and those
+    without it vary differently, and the error by the spread of each side is larger than the pooled one, it counts
+    (`LinearModel.own_error`). A metric that is best at 0 enters by the absolute value of a run's mean.
 
     Parameters
     ----------
@@ -102,31 +124,50 @@ def verdict_table(
     DataFrame
         One row a component, columns component, metric, effect (mean of the runs with it minus mean of those without it,
         in units of the metric), lower, upper, band, runs_a (with it), runs_b (without it), p_holm (that the effect is
-        zero), verdict; then better (which values of the metric are better), p_band_holm (that the improvement reaches
-        the band), dof (of the error), full_effect, full_lower, full_upper (the effect with all others on, from
-        the same model, if runs can tell it), least and most (what the rule compares with zero and with the band:
-        the ends of two tests with Holm's correction, not of an interval), ms_per_frame and parameters (what the
-        component adds), and why it is undecided. What the runs cannot tell is missing.
+        zero), verdict; then better (which values of the metric are better), p_band_holm (that the improvement, or
+        the harm where the question is whether it saves, reaches the band), dof (of the error), full_effect,
+        full_lower, full_upper (the effect with all others on, from the same model, if runs can tell it), least and
+        most (what the rule compares with zero and with the band: the ends of two tests with Holm's correction, not of
+        an interval), ms_per_frame and parameters (what the component adds), question, share (that the band is of the
+        scale), error (an `ErrorOf`), and why it is undecided. What the runs cannot tell is missing.
     """
     components = with_undeclared(components, [] if design is None else design.factors)
     model_of = cache(lambda metric: fitted(metric, means, design, components))
     has = _has_components(design, components)
     rows = [_row(component, model_of, design, has, spreads or {}) for component in components]
-    table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "error", "p", "p_band"])
+    table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "own", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
+    table["question"] = [str(c.question) for c in components]
+    table["share"] = [c.share for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
     dof = table["dof"].astype(float)
-    error = table["error"]
-    table["least"] = table["improvement"] - error * stats.t.isf(ALPHA / 2 / _holm_factor(table, "p"), dof)
-    table["most"] = table["improvement"] + error * stats.t.isf(ALPHA / _holm_factor(table, "p_band"), dof)
+    error = table["own"]
+    to_zero = error * stats.t.isf(ALPHA / 2 / _holm_factor(table, "p"), dof)
+    to_band = error * stats.t.isf(ALPHA / _holm_factor(table, "p_band"), dof)
+    saving = table["question"] == Question.saves
+    table["least"] = table["improvement"] - to_zero.where(~saving, to_band)
+    table["most"] = table["improvement"] + to_band.where(~saving, to_zero)
     # A missing p-value is below no level: undecided.
     judged = table[["improvement", "p_holm", "p_band_holm"]].to_numpy(float)
-    table["verdict"] = [str(verdict(*row)) for row in judged]
+    cheaper = _is_cheaper(table)
+    table["verdict"] = [
+        str(saving_verdict(*row, cheap) if saves else verdict(*row))
+        for row, cheap, saves in zip(judged, cheaper, saving, strict=True)
+    ]
     table["why"] = table["why"].astype(object)
     is_open = table["p_holm"].notna() & (table["verdict"] == Verdict.undecided)
-    table.loc[is_open, "why"] = "its improvement is neither shown to be above zero nor below the band"
+    table.loc[is_open & ~saving, "why"] = "its improvement is neither shown to be above zero nor below the band"
+    table.loc[is_open & saving, "why"] = "its harm is neither shown to be above zero nor below the band"
+    no_saving = is_open & saving & (table["p_band_holm"] < ALPHA)
+    table.loc[no_saving, "why"] = "its harm is below the band, but no lower cost was measured"
     return table[list(VERDICT_COLUMNS)].astype({name: kind for name, kind in _TYPES.items() if kind != "object"})
+
+
+def _is_cheaper(table: pd.DataFrame) -> pd.Series:
+    """Whether a component makes one of the costs lower and none higher."""
+    costs = table[list(COSTS)].astype(float)
+    return (costs < 0).any(axis=1) & ~(costs > 0).any(axis=1)
 
 
 def _has_components(design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
@@ -151,11 +192,11 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
     runs that have the component. Where no run goes without two, those without another one tell nothing: left out.
     """
     tables = []
-    for component, model in judged_components(means, design, components, interactions=False):
+    for component, factor, model in judged_components(means, design, components, interactions=False):
         assert design is not None  # or none could be judged
         runs = runs_by(str(component.metric), means, design, components)
-        on = runs[component.key].cat.codes.to_numpy() == 1
-        effect, _ = model.contrast(average_effect(component, model))
+        on = runs[factor].cat.codes.to_numpy() == 1
+        effect, _ = model.contrast(average_effect(factor, model))
         improvement = sign_of(component) * (model.residuals + effect * on)
         table = runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement)
         lacking = runs[design.factors].apply(lambda levels: levels.cat.codes == 0).sum(axis=1)
@@ -173,14 +214,16 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
     it, in units of the metric of `component`) and q (the share of false claims among rows with a q as small, by
     Benjamini and Hochberg 1995; NaN where `factorial_effects` gives no p).
     """
-    components = with_undeclared(components, [] if design is None else design.factors)
-    names = {component.key: component.name for component in components}
+    judged = list(judged_components(means, design, components))
+    names = short_keys([] if design is None else design.factors)
+    names |= {component.key: component.name for component in reversed(components) if component.key in names}
+    names |= {factor: component.name for component, factor, _ in judged}
     rows = []
-    for component, model in judged_components(means, design, components):
+    for component, factor, model in judged:
         for k, term in enumerate(model.terms):
-            if len(term) != 2 or component.key not in term:
+            if len(term) != 2 or factor not in term:
                 continue
-            other = term[0] if term[1] == component.key else term[1]
+            other = term[0] if term[1] == factor else term[1]
             p = model.p_value(np.eye(len(model.terms))[k]) if model.is_tested(k) else np.nan
             rows.append((component.name, names[other], sign_of(component) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
@@ -197,40 +240,28 @@ def _row(
     """What `verdict_table` and the rule need of one component, by column."""
     row: dict[str, object] = {"component": component.name, "metric": component.metric, "band": component.band}
     try:
-        metric, band = require_judged(component, design)
+        metric, band, factor = require_judged(component, design)
         model = model_of(metric)
     except ValueError as reason:
         return row | {"why": str(reason)}
-    row |= _added_costs(component, model_of, spreads)
-    average = average_effect(component, model)
-    at_full = effect_at_full(component, model, has)
-    effect, error = model.contrast(average)
-    term = model.terms.index((component.key,))
+    row |= added_costs(factor, model_of, spreads)
+    average = average_effect(factor, model)
+    at_full = effect_at_full(factor, model, has)
+    effect, full_effect = model.contrast(average)[0], model.contrast(at_full)[0]
+    term = model.terms.index((factor,))
     off, on = (int(count) for count in model.runs[term])
-    row |= {"effect": effect, "full_effect": model.contrast(at_full)[0], "runs_a": on, "runs_b": off, "dof": model.dof}
+    row |= {"effect": effect, "full_effect": full_effect, "runs_a": on, "runs_b": off, "dof": model.dof}
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
     if not model.is_tested(term):
         where = " and ".join(np.array(["without it", "with it"])[~model.spread[term]])
         return row | {"why": f"no spread: no seed changes anything in the runs {where}"}
-    row["lower"], row["upper"] = model.interval(average)
-    row["full_lower"], row["full_upper"] = model.interval(at_full)
+    error, dof, source = error_of(model, average, term)
+    row["lower"], row["upper"] = t_interval(effect, error, dof)
+    row["full_lower"], row["full_upper"] = t_interval(full_effect, *error_of(model, at_full, term)[:2])
+    row |= {"dof": dof, "error": str(source), "own": error, "p": t_test(effect, error, dof)}
     improvement = sign_of(component) * effect
-    below = float(stats.t.cdf((improvement - band) / error, model.dof)) if error > 0 else float(improvement >= band)
-    return row | {"improvement": improvement, "error": error, "p": model.p_value(average), "p_band": below}
-
-
-def _added_costs(
-    component: Component, model_of: Callable[[str], LinearModel], spreads: Mapping[str, float]
-) -> dict[str, float]:
-    """What a component adds, by cost that was measured with it and without; 0 where it is within the spread."""
-    costs = {}
-    for cost in COSTS:
-        with suppress(ValueError):  # not measured
-            model = model_of(cost)
-            weights = average_effect(component, model)
-            if weights.any():
-                added, _ = model.contrast(weights)
-                costs[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
-    return costs
+    beyond = improvement + band if component.question is Question.saves else band - improvement
+    reached = float(stats.t.sf(beyond / error, dof)) if error > 0 else float(beyond <= 0)
+    return row | {"improvement": improvement, "p_band": reached}

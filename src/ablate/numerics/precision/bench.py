@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import median
 from typing import Any, TypeVar
@@ -14,41 +14,28 @@ from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
 from ablate.dataset.simulate import nudged
 from ablate.evaluation import time_in_turns
-from ablate.metrics import METRICS, Pair, evaluate_image
+from ablate.numerics.precision.errors import Frames, finite_mean, frame_errors, mean_errors, relative_change
 from ablate.sources.prepare import frames_of, simulator_of
 from ablate.sources.source import source_of
 from ablate.study.job import Job
-from ablate.ultrasound import Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
-from ablate.ultrasound.probe import pixel_size_mm
+from ablate.ultrasound import Probe, Simulator, SimulatorPrecision, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
 T = TypeVar("T")
 Row = tuple[object, ...]
 Frame = tuple[np.ndarray, np.ndarray]  # an image and its envelope
-ENVELOPE = "envelope_rms"
-#: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
-IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smooth"))
 
 RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
 LAYERS = (1, 3, 5)
+COMBINED: tuple[dict[str, int], ...] = ({"rays": 2, "layers": 1},)  # changed together
 _FRACTIONS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
 REFERENCE_RAYS = 4096
 _FINEST_LAYERS = 8  # even, so that only its two outermost planes are also planes of the ladder
 _FINER = 4  # times as many scanlines or axial samples, and rays, so that Monte-Carlo noise is negligible
 _GRIDS = ("layers", "scanlines", "axial_samples")
 RAYS_SERIES = "simulator, rays"
+COMBINED_SERIES = "simulator, combined"
 OTHER_SERIES = "simulator, other scatterers"
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Rendered poses: images, (n, H, W) uint8, and envelopes, (n, samples, scanlines) float32.
-
-    Envelopes are linear, before gain, noise and logarithm. A generator has none.
-    """
-
-    images: np.ndarray
-    envelopes: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -75,54 +62,6 @@ def bench_of(job: Job) -> Bench:
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
     simulator = simulator_of(settings, job.data, scene, grid, known.poses)
     return Bench(scene, settings.probe, simulator, frames, known.poses[frames], settings.dataset.seed)
-
-
-def envelope_rms(envelope: np.ndarray, reference: np.ndarray) -> float:
-    """Compute the root of the sum of squared differences over that of the reference; sums are in float64.
-
-    It is 0 if both are zero everywhere, and infinite if only the reference is.
-    """
-    difference = float(np.sum(np.square(np.subtract(envelope, reference, dtype=np.float64))))
-    power = float(np.sum(np.square(reference, dtype=np.float64)))
-    if power == 0:
-        return 0.0 if difference == 0 else float("inf")
-    return (difference / power) ** 0.5
-
-
-def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, float]:
-    """Average each error over the frames of the same poses; an error that cannot be computed is left out.
-
-    `envelope_rms` is left out where there are no envelopes or their grids differ: images are compared on the same
-    pixels whatever the grid of samples. PSNR of identical images is infinite; they are left out of its mean, unless all
-    are.
-    """
-    errors: dict[str, list[float]] = {}
-    envelopes = rendered.envelopes
-    right = reference.envelopes
-    if envelopes is not None and right is not None and envelopes.shape == right.shape:
-        errors[ENVELOPE] = [envelope_rms(envelope, exact) for envelope, exact in zip(envelopes, right, strict=True)]
-    shape = (reference.images.shape[1], reference.images.shape[2])
-    mask = fan_mask(probe, shape)
-    pixel_mm = pixel_size_mm(probe, shape)
-    for image, target in zip(rendered.images, reference.images, strict=True):
-        for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
-            errors.setdefault(name, []).append(error)
-    return {name: _finite_mean(values) for name, values in errors.items()}
-
-
-def _finite_mean(values: Sequence[float]) -> float:
-    """The mean of those that are finite; of none, the first."""
-    finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else values[0]
-
-
-def relative_change(metric: str, error: float, other: float) -> float:
-    """Compute the relative change of an error with another reference; PSNR is converted to the RMS error."""
-    if error == other:
-        return 0.0
-    if metric == "psnr":
-        return abs(10 ** ((error - other) / 20) - 1)
-    return abs(other / error - 1) if error else float("inf")
 
 
 def each(*first: object, values: Mapping[str, float]) -> list[Row]:
@@ -240,8 +179,30 @@ def _changed(base: SimulatorSettings, name: str, value: int) -> SimulatorSetting
     return replace(base, **changes)
 
 
-def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
-    """Measure the simulator: the reference, rows of errors and times, and rows of convergence, limits and stages.
+@dataclass(frozen=True)
+class Measured:
+    """What was measured, as rows.
+
+    `points` are series, setting, milliseconds, metric, mean error; `details` are table, series, setting, quantity,
+    value; and `of_frames` are series, setting, metric, frame, error, of renderers that do not know the scatterers.
+    """
+
+    points: list[Row] = field(default_factory=list)
+    details: list[Row] = field(default_factory=list)
+    of_frames: list[Row] = field(default_factory=list)
+
+    def add_renderer(self, series: str, setting: str, ms: float, errors: Mapping[str, Sequence[float]]) -> None:
+        """Add one that does not know the scatterers, with its errors by metric, one a frame."""
+        self.points += each(series, setting, ms, values={name: finite_mean(values) for name, values in errors.items()})
+        self.of_frames += [
+            (series, setting, name, frame, error)
+            for name, values in errors.items()
+            for frame, error in enumerate(values)
+        ]
+
+
+def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
+    """Measure the simulator: the reference, and errors and times, convergence, limits and stages.
 
     The reference has `REFERENCE_RAYS` rays and otherwise the settings of the data set. The receiver's noise and the
     phases of clutter depend on `path_seed` and on the grid, not on the rays. With another number of rays and the same
@@ -251,21 +212,26 @@ def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
     reference = _rendered(bench, replace(base, rays=REFERENCE_RAYS), f"reference of {REFERENCE_RAYS} rays")
     half_rays = REFERENCE_RAYS // 2
     half = _rendered(bench, replace(base, rays=half_rays), f"reference of {half_rays} rays")
-    points: list[Row] = []
-    details: list[Row] = []
+    found = Measured()
+    points, details = found.points, found.details
     for name, ladder in ladders(base).items():
         measured = render_all(bench, list(ladder.values()), (bench.seed, bench.seed + 1), name)
         words = name.replace("_", " ")
         for value, ((rendered, other), ms) in zip(ladder, measured, strict=True):
             errors = mean_errors(rendered, reference, bench.probe)
             points += each(f"simulator, {words}", value, ms, values=errors)
-            points += each(OTHER_SERIES, f"{words} {value}", ms, values=mean_errors(other, reference, bench.probe))
+            found.add_renderer(OTHER_SERIES, f"{words} {value}", ms, frame_errors(other, reference, bench.probe))
             if name == "rays":
                 to_half = mean_errors(rendered, half, bench.probe)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
                 details += each("reference", RAYS_SERIES, value, values=changes)
             if value == getattr(base, name):
                 usual = rendered
+    combined = {_words(changes): replace(base, **changes) for changes in COMBINED}
+    measured = render_all(bench, list(combined.values()), (bench.seed, bench.seed + 1), "settings combined")
+    for words, ((rendered, other), ms) in zip(combined, measured, strict=True):
+        points += each(COMBINED_SERIES, words, ms, values=mean_errors(rendered, reference, bench.probe))
+        found.add_renderer(OTHER_SERIES, words, ms, frame_errors(other, reference, bench.probe))
     for name in _GRIDS:
         for setting, errors in _converging(bench, name).items():
             details += each("convergence", f"simulator, {name.replace('_', ' ')}", setting, values=errors)
@@ -274,7 +240,12 @@ def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
     details += each("limit", "simulator, float32 against float64", base.rays, values=limits)
     for rays in sorted({RAYS[0], base.rays, RAYS[-1]}):
         details += each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays)))
-    return reference, points, details
+    return reference, found
+
+
+def _words(changes: Mapping[str, int]) -> str:
+    """Several settings as one: `rays 2, layers 1`."""
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in changes.items())
 
 
 def _rendered(bench: Bench, settings: SimulatorSettings, what: str) -> Frames:

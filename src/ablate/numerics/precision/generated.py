@@ -1,17 +1,23 @@
-"""Error and time of every trained run on disk that was trained on the same pairs."""
+"""Error and time of renderers that do not know the scatterers: trained runs, shipped networks and the formula."""
 
 import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from statistics import median
 
 import numpy as np
 import torch
 
+from ablate.anatomy import Tissue
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.dataset.simulate import nudged, timed_maps
-from ablate.evaluation import time_in_turns
-from ablate.networks import Generator, Space, conditions
-from ablate.numerics.precision.bench import Bench, Frames, Row, each, mean_errors, shown_progress
+from ablate.evaluation import formula_maps, time_in_turns
+from ablate.metrics.metric import FORMULA
+from ablate.networks import Generator, GeneratorSpec, Space, conditions
+from ablate.numerics.precision.bench import Bench, Measured, each, shown_progress
+from ablate.numerics.precision.errors import Frames, frame_errors, mean_errors
+from ablate.pretrained.renderer import NAMES, OUTSIDE, Renderer, load
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.study.job import Job
@@ -28,11 +34,42 @@ from ablate.training import (
 )
 from ablate.ultrasound import scan_converter
 
+SHIPPED = "shipped"  # begins the series of a network that comes with the package
+NETWORK = "network"  # what the time of a frame is beside that of its maps
 _WARMUP = 2
 _LOG = logging.getLogger(__name__)
 #: How a generator is run.
 Execution = tuple[TrainingPrecision, Engine]
-Planned = list[tuple[Training, Execution]]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A network that is measured.
+
+    Attributes
+    ----------
+    series : str
+        The label of a run, or `shipped` and a name.
+    about : tuple of str
+        Width, and behind the execution the seed and another study than the one that asks.
+    network : str
+        Runs with the same one are exported once: the time of a network does not depend on its weights.
+    load : callable
+        Given the tissues of the scene, the generator on the CPU, and the values that it reads for labels.
+    """
+
+    series: str
+    about: tuple[str, ...]
+    network: str
+    load: Callable[[Sequence[Tissue]], tuple[Generator, np.ndarray]]
+
+    def setting(self, execution: Execution) -> str:
+        """What tells the executions of a variant apart."""
+        width, *others = self.about
+        return ", ".join([width, *execution, *others])
+
+
+Planned = list[tuple[Candidate, Execution]]
 
 
 def comparable_runs(job: Job) -> tuple[list[Training], str]:
@@ -77,21 +114,53 @@ def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...
     return ready, tuple(notes)
 
 
-def schedule_of(runs: list[Training], settings: StudySettings) -> Planned:
-    """List each run with each precision and engine that is measured of it.
+def schedule_of(runs: Sequence[Training], settings: StudySettings, shipped: Sequence[Candidate] = ()) -> Planned:
+    """List each run and each shipped network with each precision and engine that is measured of it.
 
-    Every run is executed in eager mode in all precisions. Exporting takes up to a minute, so only the
-    first run of each network is exported: the time of a network does not depend on its weights.
+    Every network is executed in eager mode in all precisions. Exporting takes up to a minute, so only the first run of
+    each network is exported.
     """
     every, _ = executions(settings)
     eager = [execution for execution in every if Engine.eager in execution]
+    ordered = sorted(runs, key=lambda run: (str(run.folder.parent), run.label, run.seed))
     exported: set[str] = set()
     planned: Planned = []
-    for run in sorted(runs, key=lambda run: (str(run.folder.parent), run.label, run.seed)):
-        network = digest(run.identity["model"])
-        planned += [(run, execution) for execution in (eager if network in exported else every)]
-        exported.add(network)
+    for candidate in (*shipped, *(_of_run(run, settings) for run in ordered)):
+        planned += [(candidate, execution) for execution in (eager if candidate.network in exported else every)]
+        exported.add(candidate.network)
     return planned
+
+
+def _of_run(run: Training, settings: StudySettings) -> Candidate:
+    about = [f"width {run.about['settings']['model']['width']:g}", f"seed {run.seed}"]
+    if run.folder.parent.name != settings.study:
+        about.append(run.folder.parent.name)
+
+    def load(tissues: Sequence[Tissue]) -> tuple[Generator, np.ndarray]:
+        values = label_values(tissues, run.settings.encoding, run.settings.label_seed)
+        return load_generator(run.checkpoint, settings.model.target), values
+
+    return Candidate(run.label, tuple(about), digest(run.identity["model"]), load)
+
+
+def shipped_candidates(bench: Bench) -> list[Candidate]:
+    """The networks that come with the package and were trained on frames of this probe, this size and these tissues."""
+    found = []
+    for name in NAMES:
+        renderer = load(name)
+        trained = renderer.simulator
+        asked = bench.simulator
+        same = (trained.image_shape, trained.beam_shape) == (asked.image_shape, asked.beam_shape)
+        knows = {tissue.name for tissue in bench.scene.tissues} <= renderer.values.keys()
+        if renderer.probe == bench.probe and same and knows:
+            spec = renderer.generator.spec
+            found.append(Candidate(f"{SHIPPED} {name}", (f"width {spec.width:g}",), name, partial(_shipped, renderer)))
+    return found
+
+
+def _shipped(renderer: Renderer, tissues: Sequence[Tissue]) -> tuple[Generator, np.ndarray]:
+    values = [renderer.values[OUTSIDE], *(renderer.values[tissue.name] for tissue in tissues)]
+    return renderer.generator, np.asarray(values, np.float32)
 
 
 def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dict[str, np.ndarray], dict[str, float]]:
@@ -105,71 +174,85 @@ def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dic
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
 
 
-def measure_generators(
-    bench: Bench, planned: Planned, settings: StudySettings, reference: Frames
-) -> tuple[list[Row], list[Row]]:
-    """Measure every run; a frame's time is that of its inputs and of the network.
+def with_other_scatterers(bench: Bench) -> Bench:
+    """The same frames with scatterers that the reference does not have: a renderer may read no others of it."""
+    return replace(bench, seed=bench.seed + 1)
 
-    An execution that fails, as compilers and runtimes can, is left out with a warning.
+
+def measure_generators(bench: Bench, planned: Planned, settings: StudySettings, reference: Frames) -> Measured:
+    """Measure every network; a frame's time is that of its inputs and of the network.
+
+    The scatterers that it reads are not those of the reference. An execution that fails, as compilers and runtimes
+    can, is left out with a warning.
 
     Parameters
     ----------
     bench : Bench
         The frames.
-    planned : list of (Run, Execution)
+    planned : list of (Candidate, Execution)
         As of `schedule_of`.
     settings : StudySettings
         Those of the study that asks.
     reference : Frames
         As of `measure_simulator`.
-
-    Returns
-    -------
-    points, details : lists of rows
-        As of `measure_simulator`.
     """
-    points: list[Row] = []
-    details: list[Row] = []
+    found = Measured()
     if not planned:
-        return points, details
-    inputs_of = lru_cache(partial(make_inputs, bench))
+        return found
+    inputs_of = lru_cache(partial(make_inputs, with_other_scatterers(bench)))
     device = chosen_device(settings.training.device)
-    exact: dict[Training, Frames] = {}
-    for run, execution in shown_progress(planned, "trained runs"):
-        setting = _setting(run, execution, settings.study)
+    exact: dict[Candidate, Frames] = {}
+    for candidate, execution in shown_progress(planned, "networks"):
+        setting = candidate.setting(execution)
         try:
-            generator = load_generator(run.checkpoint, settings.model.target).to(device)
+            generator, values = candidate.load(bench.scene.tissues)
             maps, inputs_ms = inputs_of(conditions(generator.spec), generator.spec.space)
-            rendered, network_ms = _render(run, generator, maps, bench, execution)
+            rendered, network_ms = _render(generator.to(device), values, maps, bench, execution)
         except Exception as failure:
-            _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
+            _LOG.warning("left out, %s, %s: %s", candidate.series, setting, " ".join(str(failure).split())[:300])
             continue
         ms = sum(inputs_ms.values()) + network_ms
-        points += each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
-        details += each("stage", run.label, setting, values={**inputs_ms, "network": network_ms})
+        found.add_renderer(candidate.series, setting, ms, frame_errors(rendered, reference, bench.probe))
+        found.details.extend(each("stage", candidate.series, setting, values={**inputs_ms, NETWORK: network_ms}))
         if execution == (TrainingPrecision.fp32, Engine.eager):
-            exact[run] = rendered
-        elif run in exact:
-            errors = mean_errors(rendered, exact[run], bench.probe)
-            details += each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
-    return points, details
+            exact[candidate] = rendered
+        elif candidate in exact:
+            errors = mean_errors(rendered, exact[candidate], bench.probe)
+            found.details.extend(each("limit", f"{candidate.series}, against fp32 eager", setting, values=errors))
+    return found
 
 
-def _setting(run: Training, execution: Execution, study: str) -> str:
-    """What tells the executions of a variant apart; another study than the one that asks is named."""
-    elsewhere = run.folder.parent.name
-    parts = [f"width {run.about['settings']['model']['width']:g}", *execution, f"seed {run.seed}"]
-    if elsewhere != study:
-        parts.append(elsewhere)
-    return ", ".join(parts)
+def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Measured:
+    """Measure the formula of the maps that a network of `spec` reads, as a network is measured."""
+    from ablate.ultrasound.formula import Formula
+
+    names = formula_maps(spec)
+    maps, inputs_ms = make_inputs(with_other_scatterers(bench), names, Space.beam)
+    formula = Formula(bench.scene.tissues, bench.probe, bench.simulator)
+    converter = scan_converter(bench.probe, bench.simulator.beam_shape, bench.simulator.image_shape)
+    images: dict[int, np.ndarray] = {}
+
+    def render_frame(number: int) -> None:
+        frame = max(number, 1) - 1
+        of_frame = formula.insonified({name: of_all[frame] for name, of_all in maps.items()})
+        images[frame] = converter.to_image(formula(of_frame, int(bench.frames[frame])))
+
+    times = time_in_turns({FORMULA: render_frame}, len(bench.frames), warm_up=_WARMUP)
+    rendered = Frames(np.stack([images[frame] for frame in sorted(images)]))
+    formula_ms = float(times["ms"].median())
+    setting = ", ".join(names)
+    found = Measured()
+    ms = sum(inputs_ms.values()) + formula_ms
+    found.add_renderer(FORMULA, setting, ms, frame_errors(rendered, reference, bench.probe))
+    found.details.extend(each("stage", FORMULA, setting, values={**inputs_ms, NETWORK: formula_ms}))
+    return found
 
 
 @torch.inference_mode()
 def _render(
-    run: Training, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
+    generator: Generator, values: np.ndarray, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
 ) -> tuple[Frames, float]:
     """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
-    values = label_values(bench.scene.tissues, run.settings.encoding, run.settings.label_seed)
     device = next(generator.parameters()).device
     in_beam_space = generator.spec.space is Space.beam
     image_shape = bench.simulator.image_shape
@@ -189,5 +272,5 @@ def _render(
             levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device
         images[frame] = converter.to_image(levels) if in_beam_space else levels
 
-    times = time_in_turns({run.label: render_frame}, len(bench.frames), warm_up=_WARMUP)
+    times = time_in_turns({NETWORK: render_frame}, len(bench.frames), warm_up=_WARMUP)
     return Frames(np.stack([images[frame] for frame in sorted(images)])), float(times["ms"].median())

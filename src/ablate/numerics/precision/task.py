@@ -1,15 +1,16 @@
 """`task=precision`: measure, draw, print, and log everything to an MLflow run."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
 
-from ablate.analysis import RESIMULATION, error_vs_runtime, observed_order
+from ablate.analysis import RESIMULATION, observed_order
 from ablate.metrics import metric_of
+from ablate.metrics.metric import FORMULA
 from ablate.numerics.precision.bench import (
     OTHER_SERIES,
     RAYS_SERIES,
@@ -18,7 +19,16 @@ from ablate.numerics.precision.bench import (
     bench_of,
     measure_simulator,
 )
-from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
+from ablate.numerics.precision.errors import worse_than
+from ablate.numerics.precision.figures import draw
+from ablate.numerics.precision.generated import (
+    comparable_runs,
+    executions,
+    measure_formula,
+    measure_generators,
+    schedule_of,
+    shipped_candidates,
+)
 from ablate.publish import TaskView, published_task
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
@@ -27,7 +37,8 @@ from ablate.study.provenance import hardware
 from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
-POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`
+POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`, before those of intervals
+OF_FRAMES = ["series", "setting", "metric", "frame", "error"]  # of `frames.csv`
 DETAILS = ["table", "series", "setting", "quantity", "value"]  # and of `details.csv`
 BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
 # Kinds of renderers in the table of budgets.
@@ -49,11 +60,22 @@ def precision(jobs: Sequence[Job]) -> int:
     folder = settings.results / "precision"
     try:
         with published_task(settings, folder) as view:
-            reference, points, details = measure_simulator(bench)
-            more_points, more_details = measure_generators(bench, schedule_of(runs, settings), settings, reference)
-            errors = pd.DataFrame(points + more_points, columns=POINTS).astype({"setting": str})
-            more = pd.DataFrame(details + more_details, columns=DETAILS).astype({"setting": str})
-            for path in _report(folder, bench, about, errors, more, view):
+            reference, simulated = measure_simulator(bench)
+            planned = schedule_of(runs, settings, shipped_candidates(bench))
+            parts = [
+                simulated,
+                measure_formula(bench, settings.model, reference),
+                measure_generators(bench, planned, settings, reference),
+            ]
+            tables = {
+                "precision": pd.DataFrame([row for part in parts for row in part.points], columns=POINTS),
+                "details": pd.DataFrame([row for part in parts for row in part.details], columns=DETAILS),
+                "frames": pd.DataFrame([row for part in parts for row in part.of_frames], columns=OF_FRAMES),
+            }
+            tables = {name: table.astype({"setting": str}) for name, table in tables.items()}
+            worse = worse_than(tables["frames"], OTHER_SERIES, f"rays {bench.simulator.rays}").drop(columns="worse")
+            tables["precision"] = tables["precision"].merge(worse, "left", ["series", "setting", "metric"])
+            for path in _report(folder, bench, about, tables, view):
                 print(path)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command measures everything again")
@@ -77,21 +99,19 @@ def _about(settings: StudySettings, bench: Bench, counts: str, lacking: Sequence
 
 
 def _report(
-    folder: Path, bench: Bench, about: list[str], errors: pd.DataFrame, more: pd.DataFrame, view: TaskView
+    folder: Path, bench: Bench, about: list[str], measured: Mapping[str, pd.DataFrame], view: TaskView
 ) -> list[Path]:
-    """Write and print the tables, draw the figure, publish both, and return the paths of the files except PDFs."""
-    files = {"precision": errors, "details": more}
-    for name, table in files.items():
+    """Write and print the tables, draw the figures, publish both, and return the paths of the files except PDFs."""
+    for name, table in measured.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    usual = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == f"rays {bench.simulator.rays}")]
-    level = dict(zip(usual["metric"], usual["error"], strict=True))
-    figures = error_vs_runtime(errors, folder / "precision", level, hardware())
+    errors, more = measured["precision"], measured["details"]
+    figures, level = draw(errors, bench.simulator.rays, folder, hardware())
     shown = tables(errors, more)
     head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
     print("\n".join([*head, "", as_text(shown), ""]))
     summary = folder / "summary.txt"
     write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
-    written = [*(folder / f"{name}.csv" for name in files), summary]
+    written = [*(folder / f"{name}.csv" for name in measured), summary]
     view.scores |= {f"order/{metric}": p for metric, (p, _) in _orders(errors).items()}
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
     view.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
@@ -193,7 +213,7 @@ def _worst(limits: pd.DataFrame) -> pd.DataFrame:
 
 def _budgets(points: pd.DataFrame) -> pd.DataFrame:
     """Find the best within each budget; only renderers with speckle of their own are compared with each other."""
-    finite = points[np.isfinite(points["error"])]
+    finite = points[np.isfinite(points["error"]) & (points["series"] != FORMULA)]
     badness_of = [metric_of(m).badness(e) for m, e in zip(finite["metric"], finite["error"], strict=True)]
     kinds = finite["series"].where(finite["series"].str.startswith("simulator"), _RUN)
     kinds = kinds.mask(kinds == OTHER_SERIES, _OTHER).where(kinds.isin((_RUN, OTHER_SERIES)), _SAME)

@@ -1,0 +1,67 @@
+"""The two figures of `task=precision`: how the simulator converges, and renderers that do not know the scatterers."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from ablate.analysis import RESIMULATION, convergence_figure, error_vs_runtime
+from ablate.analysis.figures.convergence_figure import SERIES, named_setting
+from ablate.metrics.metric import FORMULA
+from ablate.numerics.precision.bench import OTHER_SERIES
+from ablate.numerics.precision.errors import ENVELOPE
+
+#: A network's setting: width, precision, engine, seed, and another study than the one that asked.
+_WAY = r", (?P<precision>\w+), (?P<engine>\w+)(?:, seed (?P<seed>\d+))?(?:, (?P<study>.+))?$"
+
+
+def draw(errors: pd.DataFrame, rays: int, folder: Path, machine: str) -> tuple[list[Path], dict[str, float]]:
+    """Draw the convergence of the simulator, and the renderers that do not know the scatterers.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        Columns `POINTS`, and `WORSE_BOUNDS` where they are known.
+    rays : int
+        Of the data set.
+    folder : Path
+        Of the figures.
+    machine : str
+        On which times were measured.
+
+    Returns
+    -------
+    list of Path, dict of str to float
+        The figures, and the re-simulation's value by metric.
+    """
+    usual = f"rays {rays}"
+    resimulated = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == usual)]
+    level = dict(zip(resimulated["metric"], resimulated["error"], strict=True))
+    return [
+        *convergence_figure(errors, folder / "precision", machine),
+        *error_vs_runtime(renderers(errors, usual), folder / "renderers", level, machine),
+    ], level
+
+
+def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
+    """The renderers that do not know the scatterers, as `error_vs_runtime` draws them.
+
+    Of a network they are the fastest engine and the first seed, in each precision; of the simulator the settings that
+    are no slower than those of the data set, `usual`.
+    """
+    told = errors[~errors["series"].isin([*SERIES])]
+    told = told[told["metric"] != ENVELOPE]
+    simulated = told[told["series"] == OTHER_SERIES]
+    own = simulated[simulated["setting"] == usual]
+    faster = simulated[(simulated["ms"] < own["ms"].min()) & (simulated["setting"] != usual)]
+    repeated = faster.merge(own[["metric", "error"]], on=["metric", "error"])["setting"]  # of a ladder of its own
+    faster = faster[~faster["setting"].isin(repeated)]
+    names = {setting: named_setting(OTHER_SERIES, setting) for setting in faster["setting"]} | {usual: RESIMULATION}
+    of_simulator = pd.concat([own, faster]).assign(setting=lambda table: table["setting"].map(names))
+    formula = told[told["series"] == FORMULA].assign(setting="")
+    networks = told[~told["series"].isin([OTHER_SERIES, FORMULA])]
+    ways = networks["setting"].str.extract(_WAY)
+    ranked = networks.assign(**ways, number=ways["seed"].astype(float).fillna(0.0)).sort_values(["number", "ms"])
+    first = ranked.drop_duplicates(["series", "study", "precision", "metric"]).sort_index()
+    twice = first.duplicated(["series", "precision", "metric"], keep=False)  # from several studies
+    first = first.assign(setting=first["precision"] + (", " + first["study"]).where(twice).fillna(""))
+    return pd.concat([of_simulator, formula, first])[errors.columns].reset_index(drop=True)
