@@ -37,6 +37,11 @@ from ablate.study.reading import provenance
 from ablate.study.run import Run, read_list
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
+COLUMNS = (
+    "An effect is the mean with a component minus the mean without it; the arrow says which values are better. "
+    "p (zero) tests that the effect is zero, p (band) that the improvement is at least the band, both corrected over "
+    "the components (Holm). A difference in time within the spread of the timing is 0. "
+)
 FRAME = "frame.npz"
 MAIN = "full_model"  # which keeps pictures
 STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
@@ -80,14 +85,12 @@ def study_lines(folder: Path) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', design=answers.design)}*"
+        told = caption("verdicts", design=answers.design) if folder.name == MAIN else "Drawn and judged as above."
+        yield f"{drawn['verdicts']}\n\n*{told}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
-            "An effect is the mean of the runs with a component minus the mean of those without it. The arrow says "
-            "which values are better. p (zero) tests the hypothesis that the effect is zero, and p (band) the "
-            "hypothesis that the improvement is at least as large as the band. Both are corrected over the components "
-            "(Holm). A difference in time within the spread of the timing is shown as 0. "
-            f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
+            (COLUMNS if folder.name == MAIN else "")
+            + f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
             f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
         )
     if folder.name != MAIN:
@@ -96,11 +99,11 @@ def study_lines(folder: Path) -> Iterator[str]:
     table = shares(study)
     yield share_rows(table)
     yield (
-        "Scores on test frames as a share of re-simulation's own score, mean over the runs of a network; of FD speckle "
-        "the score itself. 1 is a perfect renderer that draws its own speckle. All networks were trained and tested in "
-        "one anatomy, and the full model in the other one, too. The time is that of a frame with the maps that the "
-        "network reads. The bars are those that SA2H of `preset=traced` was developed for, in another anatomy. They "
-        "were added to this page while the trainings of the study ran, and no verdict depends on them."
+        "Scores on test frames as a share of re-simulation's own, mean over the runs of a network; of FD speckle the "
+        "score itself. 1 is a perfect renderer that draws its own speckle. All are of one anatomy, and the full model "
+        "also of the other. The time includes the maps that the network reads. The bars are those that SA2H of "
+        "`preset=traced` was developed for, in another anatomy. They were added while the trainings of the study ran, "
+        "and no verdict depends on them."
     )
     if distances := distance_rows(table):
         yield distances
