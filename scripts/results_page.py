@@ -25,7 +25,6 @@ from ablate.analysis import (
     qualitative_figure,
 )
 from ablate.analysis.figures.style import shown_name
-from ablate.analysis.statistics.verdicts import ALPHA
 from ablate.analysis.tables import NOTHING, head
 from ablate.command.compose import jobs_of
 from ablate.metrics import metric_of
@@ -48,7 +47,6 @@ STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
 # What SA2H of preset=traced is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
-NAMES = {component.key: component.name for component in components()}
 
 
 @cache
@@ -118,12 +116,10 @@ def study_lines(folder: Path) -> Iterator[str]:
             "left corner and the logarithm of its attenuation map in the right corner. Each network is the first "
             "training of its variant. Re-simulation is the same frame with other scatterers and ray paths.*"
         )
-    if len(answers.effects) and answers.design is not None:
-        yield "### All effects"
-        yield effect_rows(answers.effects, answers.design.factors)
+    if len(answers.effects):
         yield (
-            "Exploratory. Mean with a component minus mean without it. Bold: the false discovery rate over all "
-            f"{len(answers.effects)} effects of the table is below 5 %."
+            f'`ablate.open_study("docs/results/{folder.name}").results.effects` has all {len(answers.effects)} effects, '
+            "on all metrics (exploratory)."
         )
 
 
@@ -248,20 +244,6 @@ def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
         rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:g}", *chances, *costs])
     titles = ("effect [95 %]", "band", "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
     return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
-
-
-def effect_rows(effects: pd.DataFrame, factors: Sequence[str]) -> str:
-    """What `effects_table` gives, with the component minus without it; a row a metric and a column a component."""
-    rows = []
-    for metric, of in effects.groupby("metric", sort=False):
-        decimals, found = metric_of(str(metric)).decimals, of.set_index("effect")
-        cells = []
-        for factor in factors:
-            text = signed(-found.at[factor, "estimate"], decimals) if factor in found.index else NOTHING
-            claimed = factor in found.index and found.at[factor, "q"] < ALPHA
-            cells.append(f"**{text}**" if claimed else text)
-        rows.append([head(str(metric)), *cells])
-    return pipe_table(("metric", *(NAMES.get(factor, factor) for factor in factors)), rows)
 
 
 def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
