@@ -118,8 +118,8 @@ def study_lines(folder: Path) -> Iterator[str]:
         )
     if len(answers.effects):
         yield (
-            f'`ablate.open_study("docs/results/{folder.name}").results.effects` has all {len(answers.effects)} effects, '
-            "on all metrics (exploratory)."
+            f'`ablate.open_study("docs/results/{folder.name}").results.effects` has all {len(answers.effects)} '
+            "effects, on all metrics (exploratory)."
         )
 
 
