@@ -26,7 +26,6 @@ from ablate.analysis import (
 )
 from ablate.analysis.figures.forest_figure import asks_to_save
 from ablate.analysis.figures.style import shown_name
-from ablate.analysis.statistics.component_models import ALPHA, ErrorOf
 from ablate.analysis.tables import NOTHING, head
 from ablate.command.compose import jobs_of
 from ablate.metrics import metric_of
@@ -38,13 +37,17 @@ from ablate.study.reading import provenance
 from ablate.study.run import Run, read_list
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
+COLUMNS = (
+    "An effect is the mean with a component minus the mean without it; the arrow says which values are better. "
+    "p (zero) tests that the effect is zero, p (band) that the improvement is at least the band, both corrected over "
+    "the components (Holm). A difference in time within the spread of the timing is 0. "
+)
 FRAME = "frame.npz"
 MAIN = "full_model"  # which keeps pictures
 STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
 # What SA2H of preset=traced is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
-NAMES = {component.key: component.name for component in reversed(components())}  # of a key, the first one
 
 
 @cache
@@ -81,16 +84,12 @@ def study_lines(folder: Path) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        facts = {"design": answers.design, "saving": asks_to_save(answers.verdicts)}
-        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', **facts)}*"
+        told = caption("verdicts", design=answers.design) if folder.name == MAIN else "Drawn and judged as above."
+        yield f"{drawn['verdicts']}\n\n*{told}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
-            "An effect is the mean of the runs with a component minus the mean of those without it. The arrow says "
-            "which values are better. p (zero) tests the hypothesis that the effect is zero, and p (band) the "
-            "hypothesis that the improvement is at least as large as the band. Both are corrected over the components "
-            "(Holm). A difference in time within the spread of the timing is shown as 0. "
-            f"The pooled error has {answers.verdicts['dof'].max():.0f} degrees of freedom"
-            f"{own_errors(answers.verdicts)}. "
+            (COLUMNS if folder.name == MAIN else "")
+            + f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
             f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
         )
     if folder.name != MAIN:
@@ -99,11 +98,11 @@ def study_lines(folder: Path) -> Iterator[str]:
     table = shares(study)
     yield share_rows(table)
     yield (
-        "Scores on test frames as a share of re-simulation's own score, mean over the runs of a network; of FD speckle "
-        "the score itself. 1 is a perfect renderer that draws its own speckle. All networks were trained and tested in "
-        "one anatomy, and the full model in the other one, too. The time is that of a frame with the maps that the "
-        "network reads. The bars are those that SA2H of `preset=traced` was developed for, in another anatomy. They "
-        "were added to this page while the trainings of the study ran, and no verdict depends on them."
+        "Scores on test frames as a share of re-simulation's own, mean over the runs of a network; of FD speckle the "
+        "score itself. 1 is a perfect renderer that draws its own speckle. All are of one anatomy, and the full model "
+        "also of the other. The time includes the maps that the network reads. The bars are those that SA2H of "
+        "`preset=traced` was developed for, in another anatomy. They were added while the trainings of the study ran, "
+        "and no verdict depends on them."
     )
     if distances := distance_rows(table):
         yield distances
@@ -118,12 +117,10 @@ def study_lines(folder: Path) -> Iterator[str]:
             "left corner and the logarithm of its attenuation map in the right corner. Each network is the first "
             "training of its variant. Re-simulation is the same frame with other scatterers and ray paths.*"
         )
-    if len(answers.effects) and answers.design is not None:
-        yield "### All effects"
-        yield effect_rows(answers.effects, answers.design.factors)
+    if len(answers.effects):
         yield (
-            "Exploratory. Mean with a component minus mean without it. Bold: the false discovery rate over all "
-            f"{len(answers.effects)} effects of the table is below 5 %."
+            f'`ablate.open_study("docs/results/{folder.name}").results.effects` has all {len(answers.effects)} '
+            "effects, on all metrics (exploratory)."
         )
 
 
@@ -248,26 +245,6 @@ def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
         rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:.3g}", *chances, *costs])
     titles = ("effect [95 %]", "band", "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
     return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
-
-
-def own_errors(verdicts: pd.DataFrame) -> str:
-    """Which components are tested by the spread of their own runs, as a clause; empty where none is."""
-    names = list(verdicts.loc[verdicts["error"] == ErrorOf.own, "component"])
-    return f"; that of {' and '.join(names)} is by the spread of the runs with it and without it" if names else ""
-
-
-def effect_rows(effects: pd.DataFrame, factors: Sequence[str]) -> str:
-    """What `effects_table` gives, with the component minus without it; a row a metric and a column a component."""
-    rows = []
-    for metric, of in effects.groupby("metric", sort=False):
-        decimals, found = metric_of(str(metric)).decimals, of.set_index("effect")
-        cells = []
-        for factor in factors:
-            text = signed(-found.at[factor, "estimate"], decimals) if factor in found.index else NOTHING
-            claimed = factor in found.index and found.at[factor, "q"] < ALPHA
-            cells.append(f"**{text}**" if claimed else text)
-        rows.append([head(str(metric)), *cells])
-    return pipe_table(("metric", *(NAMES.get(factor, factor) for factor in factors)), rows)
 
 
 def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
