@@ -26,6 +26,7 @@ from ablate.analysis import (
 )
 from ablate.analysis.figures.forest_figure import asks_to_save
 from ablate.analysis.figures.style import shown_name
+from ablate.analysis.statistics.component_models import ErrorOf
 from ablate.analysis.tables import NOTHING, head
 from ablate.command.compose import jobs_of
 from ablate.metrics import metric_of
@@ -84,12 +85,14 @@ def study_lines(folder: Path) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        told = caption("verdicts", design=answers.design) if folder.name == MAIN else "Drawn and judged as above."
+        facts = {"design": answers.design, "saving": asks_to_save(answers.verdicts)}
+        told = caption("verdicts", **facts) if folder.name == MAIN else "Drawn and judged as above."
         yield f"{drawn['verdicts']}\n\n*{told}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
             (COLUMNS if folder.name == MAIN else "")
-            + f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
+            + f"The pooled error has {answers.verdicts['dof'].max():.0f} degrees of freedom"
+            f"{own_errors(answers.verdicts)}. "
             f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
         )
     if folder.name != MAIN:
@@ -245,6 +248,12 @@ def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
         rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:.3g}", *chances, *costs])
     titles = ("effect [95 %]", "band", "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
     return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
+
+
+def own_errors(verdicts: pd.DataFrame) -> str:
+    """Which components are tested by the spread of their own runs, as a clause; empty where none is."""
+    names = list(verdicts.loc[verdicts["error"] == ErrorOf.own, "component"])
+    return f"; that of {' and '.join(names)} is by the spread of the runs with it and without it" if names else ""
 
 
 def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
