@@ -18,7 +18,6 @@ import yaml
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.setting import naming, shown
 
-
 _MOST_MERGED = 1000  # keys of other mappings, by `<<`; ten lines of aliases can ask for as many as memory holds
 
 
