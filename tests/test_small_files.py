@@ -177,7 +177,7 @@ def unpacked_frame_of_pairs(folder: Path) -> Callable[[], object]:
 
 def unpacked_sites_of_pairs(folder: Path) -> Callable[[], object]:
     group = pairs_at(folder)
-    group.create_array("site", data=np.zeros(1, np.int32), overwrite=True, compressors=[ZstdCodec()])
+    group.create_array("site", data=np.ones(1, np.int32), overwrite=True, compressors=[ZstdCodec()])
     (folder / "pairs.zarr" / "site" / "c" / "0").write_bytes(numcodecs.Zstd(1).encode(np.zeros(200 * MB, np.uint8)))
     return lambda: open_pairs(folder)
 
