@@ -34,11 +34,11 @@ def trained_with(trained: MadeWith, here: MadeWith, space: Space) -> str:
     str
         `trained with dynamic_range_db=60.0 (here 40.0), pixels of ...`: each setting and its two values.
     """
-    unlike: dict[str, tuple[object, object]] = {}
+    unlike: list[tuple[str, object, object]] = []
     for of_training, of_frame in zip(_looks(*trained), _looks(*here), strict=True):
         for key in [one for one in of_training if one in of_frame]:
             if of_training[key] != of_frame[key]:
-                unlike[f"{key}="] = of_training[key], of_frame[key]
+                unlike.append((f"{key}=", of_training[key], of_frame[key]))
     gains = [None if _is_open(settings) else _gain_db(here[0], settings) for _, settings in (trained, here)]
     if gains[0] is None or gains[1] is None:
         is_alike = TimeGain.patient == trained[1].tgc == here[1].tgc
@@ -46,15 +46,15 @@ def trained_with(trained: MadeWith, here: MadeWith, space: Space) -> str:
         is_alike = np.allclose(*gains, rtol=0, atol=_ALIKE_DB)
     if not is_alike:
         curves = ["of each patient" if gain is None else f"{' '.join(f'{db:.3g}' for db in gain)} dB" for gain in gains]
-        unlike["time gain "] = curves[0], curves[1]
+        unlike.append(("time gain ", *curves))
     sizes_mm = [pixel_size_mm(probe, settings.image_shape) for probe, settings in (trained, here)]
     if not np.allclose(*sizes_mm, rtol=_ALIKE):
         sizes = [f"{height:.2f} x {width:.2f} mm" for height, width in sizes_mm]
-        unlike["pixels of "] = sizes[0], sizes[1]
+        unlike.append(("pixels of ", *sizes))
     shapes = [f"{rows} x {lines}" for rows, lines in (settings.beam_shape for _, settings in (trained, here))]
     if space is Space.beam and shapes[0] != shapes[1]:
-        unlike["rows x scanlines of "] = shapes[0], shapes[1]
-    said = ", ".join(f"{what}{theirs} (here {ours})" for what, (theirs, ours) in unlike.items())
+        unlike.append(("rows x scanlines of ", *shapes))
+    said = ", ".join(f"{what}{theirs} (here {ours})" for what, theirs, ours in unlike)
     return said and f"trained with {said}"
 
 
