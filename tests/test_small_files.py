@@ -22,6 +22,7 @@ from zarr.codecs import BloscCodec, ZstdCodec
 
 import ablate
 from ablate.anatomy.scene import _read as read_scene
+from ablate.anatomy.scene_values import read_yaml
 from ablate.anatomy.volumes.volume_file import check_volume, slabs
 from ablate.dataset.own_poses import read_poses
 from ablate.dataset.pairs_folder import PlacedFrames, StoredAs, create_pairs, open_pairs
@@ -176,9 +177,16 @@ def unpacked_frame_of_pairs(folder: Path) -> Callable[[], object]:
 
 def unpacked_sites_of_pairs(folder: Path) -> Callable[[], object]:
     group = pairs_at(folder)
-    group.create_array("site", data=np.zeros(1, np.int32), overwrite=True, compressors=[ZstdCodec()])
+    group.create_array("site", data=np.ones(1, np.int32), overwrite=True, compressors=[ZstdCodec()])
     (folder / "pairs.zarr" / "site" / "c" / "0").write_bytes(numcodecs.Zstd(1).encode(np.zeros(200 * MB, np.uint8)))
     return lambda: open_pairs(folder)
+
+
+def scene_of_merges(folder: Path) -> Callable[[], object]:
+    """Ten levels, of which each merges the one before ten times."""
+    lines = ["a0: &a0 {x: 1}", *(f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}" for k in range(1, 8))]
+    (folder / "scene.yaml").write_text("\n".join(lines))
+    return lambda: read_yaml(folder / "scene.yaml")
 
 
 FILES = {
@@ -193,6 +201,7 @@ FILES = {
     picture_of_a_training: r"a\.png: unpacks to 324,000,000 bytes",
     text_beside_a_volume: r"a\.nii\.gz: not readable: .*unpacks to 314,572,800 bytes",
     values_behind_a_volume: r"a\.nrrd: not readable to its end: .*unpacks to [\d,]+ bytes; allowed are 512",
+    scene_of_merges: r"scene\.yaml: not readable as YAML: more than 1000 keys are merged by <<",
     mask_of_pairs: r"mask: unpacks to 289,000,000 bytes",
     beam_of_pairs: r"pairs\.zarr: unpacks to 1,000,000,000,000 bytes",
     frames_of_pairs: r"target: is uint8 of \(1, 10000, 10000\) .*; its data set has uint8 of \(1, 6, 4\)",

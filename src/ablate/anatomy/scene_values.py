@@ -18,6 +18,8 @@ import yaml
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.setting import naming, shown
 
+_MOST_MERGED = 1000  # keys of other mappings, by `<<`; ten lines of aliases can ask for as many as memory holds
+
 
 def read_yaml(path: Path) -> Any:
     """The content of a YAML file; a ValueError names the file."""
@@ -43,7 +45,15 @@ def csv_rows(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) ->
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice, which would drop the first one without a word."""
+    """YAML that refuses a key given twice, which would drop the first one without a word, and merges that grow."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        own = len(node.value)
+        super().flatten_mapping(node)  # of what is merged first, so that each level is bounded before the next
+        if len(node.value) > own + _MOST_MERGED:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"more than {_MOST_MERGED} keys are merged by <<", node.start_mark
+            )
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()

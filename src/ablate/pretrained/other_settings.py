@@ -34,27 +34,26 @@ def trained_with(trained: MadeWith, here: MadeWith, space: Space) -> str:
     str
         `trained with dynamic_range_db=60.0 (here 40.0), pixels of ...`: each setting and its two values.
     """
-    unlike: dict[str, tuple[object, object]] = {}
+    unlike: list[tuple[str, object, object]] = []
     for of_training, of_frame in zip(_looks(*trained), _looks(*here), strict=True):
         for key in [one for one in of_training if one in of_frame]:
             if of_training[key] != of_frame[key]:
-                unlike[f"{key}="] = of_training[key], of_frame[key]
-    gains = [None if _is_open(settings) else _gain_db(here[0], settings) for _, settings in (trained, here)]
-    if gains[0] is None or gains[1] is None:
+                unlike.append((f"{key}=", of_training[key], of_frame[key]))
+    trained_db, here_db = (_gain_db(here[0], settings) for _, settings in (trained, here))
+    if trained_db is None or here_db is None:
         is_alike = TimeGain.patient == trained[1].tgc == here[1].tgc
     else:
-        is_alike = np.allclose(*gains, rtol=0, atol=_ALIKE_DB)
+        is_alike = np.allclose(trained_db, here_db, rtol=0, atol=_ALIKE_DB)
     if not is_alike:
-        curves = ["of each patient" if gain is None else f"{' '.join(f'{db:.3g}' for db in gain)} dB" for gain in gains]
-        unlike["time gain "] = curves[0], curves[1]
-    sizes_mm = [pixel_size_mm(probe, settings.image_shape) for probe, settings in (trained, here)]
-    if not np.allclose(*sizes_mm, rtol=_ALIKE):
-        sizes = [f"{height:.2f} x {width:.2f} mm" for height, width in sizes_mm]
-        unlike["pixels of "] = sizes[0], sizes[1]
-    shapes = [f"{rows} x {lines}" for rows, lines in (settings.beam_shape for _, settings in (trained, here))]
-    if space is Space.beam and shapes[0] != shapes[1]:
-        unlike["rows x scanlines of "] = shapes[0], shapes[1]
-    said = ", ".join(f"{what}{theirs} (here {ours})" for what, (theirs, ours) in unlike.items())
+        unlike.append(("time gain ", _curve(trained_db), _curve(here_db)))
+    trained_mm, here_mm = (pixel_size_mm(probe, settings.image_shape) for probe, settings in (trained, here))
+    if not np.allclose(trained_mm, here_mm, rtol=_ALIKE):
+        size = "{0[0]:.2f} x {0[1]:.2f} mm".format
+        unlike.append(("pixels of ", size(trained_mm), size(here_mm)))
+    if space is Space.beam and trained[1].beam_shape != here[1].beam_shape:
+        shape = "{0[0]} x {0[1]}".format
+        unlike.append(("rows x scanlines of ", shape(trained[1].beam_shape), shape(here[1].beam_shape)))
+    said = ", ".join(f"{what}{theirs} (here {ours})" for what, theirs, ours in unlike)
     return said and f"trained with {said}"
 
 
@@ -63,10 +62,12 @@ def _looks(probe: Probe, simulator: SimulatorSettings) -> tuple[dict[str, object
     return plain(probe), {key: value for key, value in identity(simulator).items() if key not in _SAID_OTHERWISE}
 
 
-def _is_open(settings: SimulatorSettings) -> bool:
-    return settings.tgc is TimeGain.patient and settings.time_gain_db is None
-
-
-def _gain_db(probe: Probe, settings: SimulatorSettings) -> np.ndarray:
-    """The time gain at eight equal distances, as a panel has sliders, (8,) dB."""
+def _gain_db(probe: Probe, settings: SimulatorSettings) -> np.ndarray | None:
+    """The time gain at eight equal distances, as a panel has sliders, (8,) dB; None where a patient is to decide it."""
+    if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
+        return None
     return time_gain_db(np.linspace(0, probe.depth_mm, 8), probe, settings.time_gain)
+
+
+def _curve(gain_db: np.ndarray | None) -> str:
+    return "of each patient" if gain_db is None else f"{' '.join(f'{db:.3g}' for db in gain_db)} dB"
