@@ -77,5 +77,5 @@ def test_one_key_has_one_file_of_a_component(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "component").mkdir()
     for name, levels in (("att", "on: integral\noff: none"), ("gain", "on: compensated\noff: integral")):
         (tmp_path / "component" / f"{name}.yaml").write_text(f"key: model.attenuation\n{levels}\n")
-    with pytest.raises(ValueError, match=r"gain\.yaml: key=model\.attenuation is declared by att\.yaml; allowed"):
-        conf.components.__wrapped__()
+    with pytest.raises(ValueError, match=r"gain\.yaml: key=model\.attenuation is declared by .*att\.yaml; allowed"):
+        conf.components()
