@@ -4,6 +4,7 @@ import json
 import logging
 import re
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -101,7 +102,7 @@ def test_changed_code_is_told_where_the_package_lies_in_no_repository(
     for line in ("LOSS = 1\n", "LOSS = 1\n", "LOSS = 2\n"):
         assert not caplog.messages
         (package / "training" / "module.py").write_text(line)
-        start(job)
+        start(replace(job, source=package_digest(package)))
         stopped_at(job, 40)
     assert "step 40: training goes on with other code or hardware (source " in caplog.text
 

@@ -2,7 +2,7 @@
 
 import inspect
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from difflib import get_close_matches
 from enum import Enum
 from inspect import Parameter
@@ -16,12 +16,12 @@ _CONTAINERS = {list: "a list", tuple: "a list", dict: "a mapping"}
 _VARIADIC = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
 
 
-def check_taken(network_class: Callable[..., Any], target: str, settings: Mapping[str, Any]) -> None:
+def check_taken(network_class: type, target: str, settings: Mapping[str, Any]) -> None:
     """Refuse settings that a class does not take beside its channels.
 
     Parameters
     ----------
-    network_class : callable
+    network_class : type
         Its first argument is the number of channels; the others are its settings.
     target : str
         Its dotted path.
@@ -59,11 +59,10 @@ def check_taken(network_class: Callable[..., Any], target: str, settings: Mappin
         raise ValueError(f"settings.{missing[0]}=... must be given: {takes}")
 
 
-def _hints(network_class: Callable[..., Any]) -> dict[str, Any]:
+def _hints(network_class: type) -> dict[str, Any]:
     """Annotations of what a class is made with; none where they name what is not there."""
-    made_by = network_class.__init__ if isinstance(network_class, type) else network_class
     try:
-        return get_type_hints(made_by)
+        return get_type_hints(network_class.__init__)  # type: ignore[misc]
     except Exception:  # a string may hold any code
         return {}
 

@@ -181,6 +181,7 @@ class Comparison(hydra.experimental.callback.Callback):
     def on_multirun_end(self, config: DictConfig, **_: object) -> None:
         """Compare what lies on disk when all jobs have ended."""
         if config.objective is not None and config.task == Task.study:
+            HydraConfig.instance().set_config(config)  # as Hydra does for a job
             for line in said_of_search(config):
                 print(line)
             return
