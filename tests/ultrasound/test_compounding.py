@@ -268,6 +268,17 @@ def test_a_frame_belongs_to_its_seeds_and_its_maps_to_the_scanlines_ahead(body, 
         assert field.name == "image" or (getattr(one.beam, field.name) == getattr(first.beam, field.name)).all()
 
 
+def test_the_set_in_the_middle_is_the_frame_of_one_angle(body, probe, small, ahead) -> None:
+    one, five = (Simulator(body, probe, replace(small, compound_angles=angles)) for angles in (1, 5))
+    alone, among = (
+        simulator._chain._signal(simulator._of(ahead, Simulator._prepare), number, seed=3)
+        for simulator, number in ((one, 0), (five, 2))
+    )
+    for a, b in zip(alone, among, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert one._chain.noise(ahead, 3)[1] == five._chain.noise(ahead, 3)[1][2:3]
+
+
 def test_noise_is_averaged_where_nothing_comes_back(empty, probe, small, ahead) -> None:
     """The plan casts no ray there, but noise of several sets is smoother than that of one, by sqrt(n)."""
     settings = replace(small, noise_floor_db=-30.0, samples_per_row=1)
