@@ -176,7 +176,7 @@ def test_a_mirror_shines_for_the_angle_that_it_faces(gel) -> None:
 def test_a_cyst_is_drawn_farther_down_its_sides(gel) -> None:
     """The wall at the angle w from the top returns the mean of R cos(2 (w - a))^n over the angles a."""
     radius, depth, specularity = 8.0, 25.0, 8.0
-    mesh = trimesh.creation.cylinder(radius, 60.0, sections=1024)
+    mesh = trimesh.creation.cylinder(radius, 60.0, sections=4096)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     mesh.apply_translation((0, 0, depth))
     cyst = replace(gel, name="cyst", impedance_mrayl=1.6, specularity=specularity)
