@@ -53,9 +53,7 @@ def maps_read(
     for name in (OF_SURFACES | {COMPOUND}) & set(names):
         values = getattr(beam, name)
         if not values.size:
-            raise ValueError(
-                f"the frame has no map `{name}`, which this generator reads: `Simulator.beam_maps` makes it"
-            )
+            raise ValueError(f"the frame has no `{name}`, which this generator reads: `Simulator.beam_maps` makes it")
         read[name] = values if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(values)
     if GRAIN in names:
         if not beam.grain.size:

@@ -27,7 +27,7 @@ class Beam:
     grain : (rows, scanlines, 2) complex64
         The lattice of scatterers before any tissue (`lattice.grain`); empty where not asked for.
     compound : (rows, scanlines) float32 in [0, 1]
-        The mean attenuation map of all angles that a frame is compounded of; empty of one angle or where not asked for.
+        The mean attenuation map of all angles that a frame is compounded of; empty where not asked for.
     """
 
     segmentation: np.ndarray
