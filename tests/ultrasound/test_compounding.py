@@ -176,7 +176,7 @@ def test_a_mirror_shines_for_the_angle_that_it_faces(gel) -> None:
 def test_a_cyst_is_drawn_farther_down_its_sides(gel) -> None:
     """The wall at the angle w from the top returns the mean of R cos(2 (w - a))^n over the angles a."""
     radius, depth, specularity = 8.0, 25.0, 8.0
-    mesh = trimesh.creation.cylinder(radius, 60.0, sections=1024)
+    mesh = trimesh.creation.cylinder(radius, 60.0, sections=4096)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     mesh.apply_translation((0, 0, depth))
     cyst = replace(gel, name="cyst", impedance_mrayl=1.6, specularity=specularity)
@@ -264,8 +264,22 @@ def test_a_frame_belongs_to_its_seeds_and_its_maps_to_the_scanlines_ahead(body, 
     assert (one.image != first.image).any()
     for name in ("segmentation", "attenuation", "mask"):
         assert (getattr(one, name) == getattr(first, name)).all()
-    for field in fields(one.beam):
-        assert field.name == "image" or (getattr(one.beam, field.name) == getattr(first.beam, field.name)).all()
+    for name in {field.name for field in fields(one.beam)} - {"image", "compound"}:
+        assert (getattr(one.beam, name) == getattr(first.beam, name)).all()
+    asked = simulator.beam_maps(ahead, of_surfaces=False, of_angles=True)
+    assert (asked.compound == first.beam.compound).all()
+    assert one.beam.compound.size == asked.interfaces.size == 0
+
+
+def test_the_set_in_the_middle_is_the_frame_of_one_angle(body, probe, small, ahead) -> None:
+    one, five = (Simulator(body, probe, replace(small, compound_angles=angles)) for angles in (1, 5))
+    alone, among = (
+        simulator._chain._signal(simulator._of(ahead, Simulator._prepare), number, seed=3)
+        for simulator, number in ((one, 0), (five, 2))
+    )
+    for a, b in zip(alone, among, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert one._chain.noise(ahead, 3)[1] == five._chain.noise(ahead, 3)[1][2:3]
 
 
 def test_noise_is_averaged_where_nothing_comes_back(empty, probe, small, ahead) -> None:

@@ -37,7 +37,7 @@ def maps_read(
     Raises
     ------
     ValueError
-        Where the grain is wanted and the frame has none.
+        Where a map is wanted that the frame does not have.
     """
     of_image, attenuation_of_image, beam = maps
     image_shape = of_image.shape[:2]
@@ -52,6 +52,8 @@ def maps_read(
         read["compensated"] = compensate(read["attenuation"], probe, tgc)
     for name in (OF_SURFACES | {COMPOUND}) & set(names):
         values = getattr(beam, name)
+        if not values.size:
+            raise ValueError(f"the frame has no `{name}`, which this generator reads: `Simulator.beam_maps` makes it")
         read[name] = values if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(values)
     if GRAIN in names:
         if not beam.grain.size:

@@ -140,13 +140,14 @@ class Simulator:
         """
         image, envelope = self._image(pose, seed, display)
         segmentation, attenuation = self.maps(pose)
+        beam = self.beam_maps(pose, of_angles=self.settings.compound_angles > 1)
         return Frame(
             segmentation=segmentation,
             attenuation=attenuation,
             image=self._chain.convert.to_image(image),
             mask=self.mask,
             envelope=np.ascontiguousarray(envelope.T, np.float32),
-            beam=replace(self.beam_maps(pose), image=image, grain=self.grain(pose, seed)),
+            beam=replace(beam, image=image, grain=self.grain(pose, seed)),
             probe=self.probe,
             simulator=self.settings,
         )
