@@ -164,7 +164,7 @@ def test_every_box_shows_what_holds_after_typing(browser: Any, viewer: Viewer) -
 def test_pictures_fill_the_panel_and_stay_as_large_while_the_probe_moves(browser: Any, viewer: Viewer) -> None:
     page, width = viewer.page, "return [...document.images].find(i => i.src.startsWith('blob:')).clientWidth"
     browser.set_window_size(1920, 1080)
-    page.images.set_width(1250)
+    until(lambda: browser.execute_script(width) > 900)  # of half of the window
     views, widths = page.shown, {}
     assert views is not None
     for quality in Quality:
@@ -172,8 +172,9 @@ def test_pictures_fill_the_panel_and_stay_as_large_while_the_probe_moves(browser
         until(lambda: browser.execute_script("return [...document.images].every(i => i.complete)"))
         time.sleep(1.0)
         widths[quality] = browser.execute_script(width)
-    page.images.set_width(640)
-    assert 1150 < widths[Quality.full] == widths[Quality.coarse]
+    browser.set_window_size(1366, 768)
+    until(lambda: browser.execute_script(width) < 750)
+    assert 900 < widths[Quality.full] == widths[Quality.coarse]
 
 
 def test_a_second_tab_sees_the_same_probe_and_closing_frees_the_worker(browser: Any, viewer: Viewer) -> None:
