@@ -44,7 +44,7 @@ CONTENTS: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
     "beyond all": (lambda c: {"spec": c["spec"] | {"width": 1e300}}, ""),
     "depth": (lambda c: {"spec": c["spec"] | {"depth": 8, "width": 4.0}}, r"stem\.weight: \(16, .* is stored"),
     "family": (lambda _: {"spec": _UNET}, r"network\.down\.0\.weight: is no tensor"),
-    "labels": (lambda _: {"labels": 10**7}, "labels=10000000: allowed are 1 to 256"),
+    "labels": (lambda _: {"labels": 10**5}, "labels=100000: allowed are 1 to 256"),
     "labels of no number": (lambda _: {"labels": "9" * 10**6}, "labels='999.*: allowed are 1 to 256"),
     "weights that share a number": (
         lambda c: {"spec": c["spec"] | {"width": 6.0}, "weights": spread(c, 6.0)},
