@@ -54,10 +54,10 @@ Change = Callable[[np.ndarray, int, float], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What a band lets pass: the scores of the two ends of the scale and of the network, and the changes of either sign.
+    """What a band lets pass: scores of the two ends of the scale and of the network, and the changes of either sign.
 
-    `band` is in units of the metric, `less` and `more` in grey levels or, of texture, as shares, NaN where no change makes
-    the score so much worse; `images` are (H, W) uint8 of these.
+    `band` is in units of the metric. `less` and `more` are in grey levels or, of texture, shares; NaN where no change
+    makes the score so much worse. `images`, (H, W) uint8, are of these.
     """
 
     metric: str
@@ -154,13 +154,13 @@ def draw(before: np.ndarray, target: np.ndarray, found: Sequence[Judged], path: 
         metric = METRICS[one.metric]
         worse = f"{metric.label} worse by {one.band:.2g} {metric.unit}".strip()
         told = [WHAT[one.metric].format(much) for much in (one.less, one.more)]
-        rows.append((worse, (one.images[0], before, one.images[1]), (told[0], "SA2H", told[1])))
+        rows.append((worse, (one.images[0], before, one.images[1]), (told[0], "SA2H; beside it", told[1])))
     for cells, (worse, images, titles) in zip(axes, rows, strict=True):
         for place, (ax, image, title) in enumerate(zip(cells, images, titles, strict=True)):
             ax.set_axis_off()
             if image is not None:
                 ax.imshow(image, "gray", vmin=0, vmax=255)
-                ax.set_title(f"{worse}: {title}" if worse and place != 1 else title, fontsize=8)
+                ax.set_title(f"{title}: {worse}" if worse and place == 1 else title, fontsize=8)
     figure.savefig(path, dpi=110)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from ablate.analysis.components import Component
@@ -66,10 +67,10 @@ def scaled_bands(components: Sequence[Component], per_image: pd.DataFrame) -> tu
     means = by_data.groupby(["variant", "metric"]).mean()
     bands = []
     for component in components:
-        both = [(name, component.metric) for name in (FORMULA, RESIMULATION)]
-        known = component.share is not None and all(one in means.index for one in both)
-        length = scale_length(str(component.metric), *(float(means[one]) for one in both)) if known else 0.0
-        if component.share is not None and length > 0:
+        metric = str(component.metric)
+        ends = [float(means.get((name, metric), np.nan)) for name in (FORMULA, RESIMULATION)]
+        length = scale_length(metric, *ends)
+        if component.share is not None and length > 0:  # not where an end is not known
             bands.append(replace(component, band=component.share * length))
         else:
             bands.append(replace(component, share=None))

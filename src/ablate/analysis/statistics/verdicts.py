@@ -152,8 +152,8 @@ def verdict_table(
     judged = table[["improvement", "p_holm", "p_band_holm"]].to_numpy(float)
     cheaper = _is_cheaper(table)
     table["verdict"] = [
-        str(saving_verdict(*row, cheap) if saves else verdict(*row))
-        for row, cheap, saves in zip(judged, cheaper, saving, strict=True)
+        str(saving_verdict(improvement, p, p_band, cheap) if saves else verdict(improvement, p, p_band))
+        for (improvement, p, p_band), cheap, saves in zip(judged, cheaper, saving, strict=True)
     ]
     table["why"] = table["why"].astype(object)
     is_open = table["p_holm"].notna() & (table["verdict"] == Verdict.undecided)

@@ -175,7 +175,10 @@ def _fractions(length: int, step: int = 1) -> set[int]:
 
 
 def _changed(base: SimulatorSettings, name: str, value: int) -> SimulatorSettings:
-    changes: dict[str, Any] = {name: value}
+    return _all_changed(base, {name: value})
+
+
+def _all_changed(base: SimulatorSettings, changes: Mapping[str, Any]) -> SimulatorSettings:
     return replace(base, **changes)
 
 
@@ -193,12 +196,13 @@ class Measured:
 
     def add_renderer(self, series: str, setting: str, ms: float, errors: Mapping[str, Sequence[float]]) -> None:
         """Add one that does not know the scatterers, with its errors by metric, one a frame."""
-        self.points += each(series, setting, ms, values={name: finite_mean(values) for name, values in errors.items()})
-        self.of_frames += [
+        means = {name: finite_mean(values) for name, values in errors.items()}
+        self.points.extend(each(series, setting, ms, values=means))
+        self.of_frames.extend(
             (series, setting, name, frame, error)
             for name, values in errors.items()
             for frame, error in enumerate(values)
-        ]
+        )
 
 
 def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
@@ -227,7 +231,7 @@ def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
                 details += each("reference", RAYS_SERIES, value, values=changes)
             if value == getattr(base, name):
                 usual = rendered
-    combined = {_words(changes): replace(base, **changes) for changes in COMBINED}
+    combined = {_words(changes): _all_changed(base, changes) for changes in COMBINED}
     measured = render_all(bench, list(combined.values()), (bench.seed, bench.seed + 1), "settings combined")
     for words, ((rendered, other), ms) in zip(combined, measured, strict=True):
         points += each(COMBINED_SERIES, words, ms, values=mean_errors(rendered, reference, bench.probe))
