@@ -95,11 +95,10 @@ def batches(settings: TrainingSettings, start: int, stop: int) -> Iterator[dict[
         yield batch | {"mask": torch.ones(shape), "noise_seed": torch.arange(settings.batch_size) + step}
 
 
-def check_generator(device: str, settings: SimulatorSettings, triangles: int) -> Iterator[Check]:
+def check_generator(device: str, triangles: int) -> Iterator[Check]:
     """Compare a generated frame in fp32 and in bf16 with that of the CPU in fp32."""
     renderer, scene, pose = ablate.load("sa2h"), fetal_abdomen(triangles), fetal_planes()["abdomen"]
-    settings = replace(settings, image_shape=renderer.simulator.image_shape)
-    shown = Simulator(scene, renderer.probe, settings).render(pose)
+    shown = Simulator(scene, renderer.probe, renderer.simulator).render(pose)
 
     def frame(generator: Generator, precision: TrainingPrecision) -> np.ndarray:
         return replace(renderer, generator=generator).render(shown, scene.tissues, precision=precision)
@@ -136,7 +135,7 @@ def main() -> int:
     settings, triangles = SimulatorSettings(), 160_000
     checks = [check_simulator("cuda", settings, triangles)]
     checks.append(check_training("cuda", GeneratorSpec(width=0.25), TrainingSettings(steps=8, crop=256)))
-    checks += check_generator("cuda", replace(settings, rays=1, layers=1), triangles)
+    checks += check_generator("cuda", triangles)
     for check in checks:
         print(check.row())
     return 0 if all(check.passes for check in checks) else 1

@@ -30,7 +30,7 @@ def test_a_device_that_is_the_cpu_agrees_with_it(monkeypatch: pytest.MonkeyPatch
     checks = [
         gpu.check_simulator("cpu", SMALL, 6000),
         gpu.check_training("cpu", GeneratorSpec(depth=2, width=0.05), training),
-        *gpu.check_generator("cpu", SMALL, 6000),
+        *gpu.check_generator("cpu", 6000),
     ]
     for check in checks:
         assert check.difference == 0, check.row()

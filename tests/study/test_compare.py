@@ -363,7 +363,7 @@ def test_a_run_that_cannot_be_used_is_left_aside_in_words(study: Path, damage: s
 def test_scores_that_hold_another_metric_are_refused_by_name(study: Path) -> None:
     run = run_in(study, "nsa2h", 0)
     change_score(run, "mae", lambda table: table.assign(metric="x/../../../stolen"))
-    with pytest.raises(ValueError, match=r"mae@v2.*parquet: holds values of x/"):
+    with pytest.raises(ValueError, match=r"mae@v2.*parquet: holds values of 'x/"):
         assert run_in(study, "nsa2h", 0).scores.empty
 
 

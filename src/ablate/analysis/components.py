@@ -2,9 +2,10 @@
 
 import math
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations
 from typing import Any
 
 from ablate.setting import check_name
@@ -105,6 +106,23 @@ def with_undeclared(components: Sequence[Component], factors: Collection[str]) -
     short = short_keys([*declared, *keys])
     undeclared = [Component(name=short[key], key=key) for key in keys if key not in declared]
     return (*components, *undeclared)
+
+
+def told_by(levels: Mapping[str, Sequence[object]], components: Sequence[Component]) -> list[Component]:
+    """The components of keys of which runs have several levels; of those that share a key, the ones with their levels.
+
+    `levels` are those that runs have, by key. Where none of those of a key fits, the first stands for it.
+    """
+    told: dict[str, list[Component]] = {}
+    for component in components:
+        of_key = levels.get(component.key, ())
+        if len(of_key) > 1:
+            told.setdefault(component.key, []).append(component)
+    for key, several in told.items():
+        if len(several) > 1:
+            pairs = list(combinations(levels[key], 2))
+            told[key] = [c for c in several if any(c.compares(*pair) for pair in pairs)] or several[:1]
+    return [component for component in components if component in told.get(component.key, ())]
 
 
 def short_keys(factors: Collection[str]) -> dict[str, str]:

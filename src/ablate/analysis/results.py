@@ -1,12 +1,12 @@
 """What a study came to, as one value: the tables and pictures that its figures and its report are made from."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import pandas as pd
 
-from ablate.analysis.components import Component
+from ablate.analysis.components import Component, told_by
 from ablate.analysis.pictures import FramePictures
 from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics
 from ablate.analysis.statistics.component_claims import seed_claims
@@ -38,8 +38,9 @@ class StudyResults:
         What `run_means` gives of the runs of the design.
     components : sequence of Component
         What can be judged.
-    varied : collection of str, optional
-        The dotted keys in which runs differ: verdicts are of components of these. Without it they are of all.
+    levels : mapping of str to list, optional
+        By dotted key, the levels that runs have: verdicts are of components of keys in which runs differ. Without it
+        they are of all.
     spreads : mapping of str to float
         By cost, the spread of its measurement, as for `verdict_table`.
     pictures : sequence of FramePictures
@@ -55,7 +56,7 @@ class StudyResults:
     design: Design | None = None
     means: pd.DataFrame = field(default_factory=pd.DataFrame)
     components: Sequence[Component] = ()
-    varied: Collection[str] | None = None
+    levels: Mapping[str, Sequence[object]] | None = None
     spreads: Mapping[str, float] = field(default_factory=dict)
     pictures: Sequence[FramePictures] = ()
     machine: str = ""
@@ -93,5 +94,5 @@ class StudyResults:
     @cached_property
     def verdicts(self) -> pd.DataFrame:
         """What is known of every component in which runs differ; see `verdict_table`."""
-        judged = [c for c in self.components if self.varied is None or c.key in self.varied]
+        judged = self.components if self.levels is None else told_by(self.levels, self.components)
         return verdict_table(self.means, self.design, judged, self.spreads)

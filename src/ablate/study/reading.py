@@ -153,15 +153,16 @@ def results_of(usable: ComparableRuns, reference: str = REFERENCE, study: str = 
         design=design,
         means=means,
         components=analysis.scaled_bands(analysis.with_undeclared(declared, factors), per_image),
-        varied=frozenset(factor for factor in factors if len(_levels_in(levels, factor)) > 1),
+        levels={factor: _levels_in(levels, factor) for factor in factors},
         spreads=spreads,
         machine=timed_on(runs),
     )
 
 
-def _levels_in(levels: Mapping[str, Mapping[str, object]], factor: str) -> set[str]:
-    """The levels that the networks have of a factor, as text; those that have none are left out."""
-    return {repr(own[factor]) for own in levels.values() if factor in own and not _lacks(own, factor)}
+def _levels_in(levels: Mapping[str, Mapping[str, object]], factor: str) -> list[object]:
+    """The levels that the networks have of a factor, each once; those that have none are left out."""
+    of_networks = [own[factor] for own in levels.values() if factor in own and not _lacks(own, factor)]
+    return list({repr(level): level for level in of_networks}.values())
 
 
 def _lacks(own: Mapping[str, object], factor: str) -> bool:

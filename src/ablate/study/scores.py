@@ -155,7 +155,7 @@ def read_score(path: Path) -> Score:
     except (OSError, ValueError, KeyError) as error:
         raise ValueError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
     if metrics - {path.name.partition("@")[0]}:
-        raise ValueError(f"{path}: holds values of {shown(sorted(map(str, metrics)))}")
+        raise ValueError(f"{path}: holds values of {shown(', '.join(sorted(map(str, metrics))))}")
     return Score(values, about["scalars"], tuple(about["notes"]), about["scored"])
 
 
