@@ -165,7 +165,7 @@ def _run(folder: Path, job: Mapping[str, object], sites: str) -> dict[str, objec
     scores = job["scores"]
     assert isinstance(scores, Sequence)
     files = [folder / str(job["training"]) / "scores" / str(name) for name in scores]
-    frames = pd.concat([pd.read_parquet(file) for file in files]).query("source == 'model' and split == 'test'")
+    frames = _test_frames(files).query("source == 'model'")
     if sites != "all":
         kept = seen_sites(folder, about["data"])
         frames = frames[frames["site"].isin(kept) == (sites == "seen")]
@@ -179,6 +179,32 @@ def _run(folder: Path, job: Mapping[str, object], sites: str) -> dict[str, objec
         **means,
         **of_set,
     }
+
+
+def _test_frames(files: Sequence[Path]) -> pd.DataFrame:
+    """The scores of test frames, of the network and of the baselines."""
+    return pd.concat([pd.read_parquet(file) for file in files]).query("split == 'test'")
+
+
+def on_the_scale(folder: Path) -> pd.DataFrame:
+    """Formula, SA2H with the labels of its seed, and re-simulation, in the mean of the anatomies.
+
+    `place` is where SA2H is on the way from the formula, 0, to re-simulation, 1.
+    """
+    jobs = json.loads((folder / "comparison" / "jobs.json").read_text())["jobs"]
+    tables = []
+    for job in jobs:
+        of_run = folder / str(job["training"])
+        changed = json.loads((of_run / "training.json").read_text())["changed"]
+        if job["label"].partition(".")[0] != "sa2h" or "encoding" in changed:
+            continue
+        frames = _test_frames([of_run / "scores" / name for name in job["scores"]])
+        means = frames[np.isfinite(frames["value"])].groupby(["source", "metric"])["value"].mean()
+        tables.append(means.rename(changed["scene.anatomy_seed"]))
+    of_anatomies = pd.concat(tables, axis=1).T.groupby(level=0).mean().mean()
+    table = of_anatomies.unstack("source")[["formula", "model", "resimulation"]].rename(columns={"model": "sa2h"})
+    table["place"] = (table["sa2h"] - table["formula"]) / (table["resimulation"] - table["formula"])
+    return table.loc[["psnr", "mae", "pchi2", "mae_smooth", "shadow_contrast", "thin_contrast", "octave_sd"]]
 
 
 def _scalar(files: Sequence[Path], metric: str) -> float:
@@ -231,6 +257,7 @@ def main() -> None:
     print(markdown(table.set_index(["network", "metric"]).map("{:.3f}".format)))
     print(markdown(orders(runs).map("{:.3f}".format)))
     print(verdict(runs, table))
+    print(f"\nSA2H between the formula and re-simulation\n{markdown(on_the_scale(folder).map('{:.3f}'.format))}")
     for sites in ("seen", "unseen"):
         some = read_runs(folder, sites)
         some = some[some["labels"] == "arbitrary"]

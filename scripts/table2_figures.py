@@ -27,7 +27,11 @@ WHAT = {
     "lsa2h": "U-Net, L, S, A",
 }
 #: Where the text of docs/table2.md points: column and row of the arrow's head, px of the frame.
-ARROWS: Mapping[str, tuple[tuple[int, int], ...]] = {}
+ARROWS: Mapping[str, tuple[tuple[int, int], ...]] = {
+    "sa2h": ((256, 199),),
+    "sa2h-att": ((255, 199),),
+    "nsa2h": ((274, 194),),
+}
 
 
 def effects_figure(table: pd.DataFrame) -> Figure:
@@ -70,10 +74,10 @@ def frames_figure(folder: Path, anatomy: int = 10, seed: int = 0) -> Figure:
     images = {"target": data.pairs.read("target", np.array([frame]))[0]}
     images |= {name: training.pictures[frame] for name, training in trained.items()}
     with house_style():
-        figure = new_figure(PAGE_IN, 3.1)
+        figure = new_figure(PAGE_IN, 3.4)
         for axes, (name, image) in zip(figure.subplots(2, 4).flat, images.items(), strict=True):
             axes.imshow(image, cmap="gray", vmin=0, vmax=255)
-            axes.set_title(f"{NAMES[name]}: {WHAT[name]}" if name in NAMES else "simulated", fontsize=7)
+            axes.set_title(f"{NAMES[name]}\n{WHAT[name]}" if name in NAMES else "simulated\n", fontsize=7)
             axes.set_axis_off()
             for column, row in ARROWS.get(name, ()):
                 axes.annotate(

@@ -234,7 +234,7 @@ def test_a_long_text_that_many_scores_share_is_held_once(tmp_path: Path) -> None
         for _ in range(10):
             writer.write_table(pa.table({"metric": text.slice(0, 400).cast(pa.string())}))
         writer.add_key_value_metadata({b"ablate": about})
-    with taking_at_most(60), pytest.raises(ValueError, match=r"holds values of \['x+") as raised:
+    with taking_at_most(60), pytest.raises(ValueError, match=r"holds values of 'x+") as raised:
         read_score(path)
     assert is_whole(path)
     assert len(str(raised.value)) < 1000

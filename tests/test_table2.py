@@ -1,5 +1,8 @@
 """The analysis of docs/table2.md: its fit against another parametrisation, its verdict on runs of which it is known."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -95,3 +98,58 @@ def test_tau_is_one_for_the_papers_order_and_minus_one_for_its_reverse() -> None
     assert table2.orders(runs_of(*of_paper(1.0)))["tau"]["psnr"] == pytest.approx(1.0)
     assert table2.orders(runs_of(*of_paper(-0.5)))["tau"]["pchi2"] == pytest.approx(-1.0)
     assert table2.orders(runs_of(*of_paper(1.0)))["p"]["psnr"] == pytest.approx(2 / 5040)
+
+
+KEPT = Path(__file__).parents[1] / "docs" / "results" / "table2"
+
+
+def kept_means(metric: str) -> pd.DataFrame:
+    """Network, anatomy and mean over test frames of the kept runs with labels in the order of their seed."""
+    rows = []
+    for folder in sorted(KEPT.glob("*-seed*")):
+        changed = json.loads((folder / "training.json").read_text())["changed"]
+        if "encoding" in changed:
+            continue
+        (file,) = folder.glob(f"scores/{metric}@*.parquet")
+        frames = pd.read_parquet(file)
+        of_network = frames[(frames["source"] == "model") & (frames["split"] == "test")]
+        rows.append(
+            (folder.name.partition(".")[0], changed["scene.anatomy_seed"], of_network["value"].to_numpy().mean())
+        )
+    return pd.DataFrame(rows, columns=["network", "anatomy", "value"])
+
+
+@pytest.mark.parametrize(("metric", "sign"), [("pchi2", 1), ("psnr", -1)])
+def test_the_kept_study_gives_the_same_in_another_way(metric: str, sign: int) -> None:
+    """Differences to SA2H as coefficients of dummies, their errors by the normal equations."""
+    kept = kept_means(metric)
+    assert len(kept) == 23
+    others = [name for name in table2.PAPER.index if name != "sa2h"]
+    columns = [np.ones(len(kept)), kept["anatomy"] == 11, *(kept["network"] == name for name in others)]
+    design = np.column_stack(columns).astype(float)
+    solution, residual, rank, _ = np.linalg.lstsq(design, kept["value"].to_numpy(), rcond=None)
+    dof = len(kept) - rank
+    error = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * residual[0] / dof)
+    runs = table2.read_runs(KEPT)
+    found = table2.tests(runs[runs["labels"] == "arbitrary"]).set_index(["metric", "network"]).loc[metric]
+    for number, name in enumerate(others, start=2):
+        if name in found.index:
+            worse = sign * solution[number]
+            assert found.loc[name, "worse"] == pytest.approx(worse)
+            assert found.loc[name, "p"] == pytest.approx(stats.t.sf(worse / error[number], dof))
+            assert found.loc[name, "upper"] == pytest.approx(worse + stats.t.ppf(0.975, dof) * error[number])
+
+
+def test_the_page_says_what_the_rule_says_of_the_kept_study() -> None:
+    runs = table2.read_runs(KEPT)
+    runs = runs[runs["labels"] == "arbitrary"]
+    word = table2.verdict(runs, table2.tests(runs)).partition(":")[0]
+    page = (KEPT.parents[1] / "table2.md").read_text()
+    assert page.partition("## Result")[2].strip().lower().startswith(f"**{word}**")
+    means = table2.beside_the_paper(runs)
+    for network in table2.PAPER.index:
+        (row,) = [line for line in page.splitlines() if line.lower().startswith(f"| {network} |")]
+        cells = [cell.strip() for cell in row.split("|")]
+        for place, metric in ((2, "psnr, here"), (4, "mae, here"), (6, "pchi2, here"), (8, "fd_speckle, here")):
+            decimals = len(cells[place].partition(".")[2])
+            assert float(cells[place]) == pytest.approx(means.loc[network, metric], abs=0.51 * 10**-decimals)
