@@ -176,7 +176,19 @@ def empty_picture(words: str, shape: tuple[int, int], quality: Quality) -> Image
 
 
 def mark(picture: Image.Image, points: np.ndarray, probe: Probe, window: Window = WHOLE) -> None:
-    """Draw crosses at points of the image plane, x and z, (n, 2) mm, and what is measured between them."""
+    """Draw crosses at points, and what is measured between them.
+
+    Parameters
+    ----------
+    picture : Image
+        Of the window; it is drawn on.
+    points : (n, 2) float, mm
+        Of the image plane, x and z.
+    probe : Probe
+        Of the frame.
+    window : Window
+        The part of the frame that the picture shows.
+    """
     draw = ImageDraw.Draw(picture)
     shape = (picture.height, picture.width)
     arm = picture.height / 55

@@ -89,6 +89,15 @@ def saving_verdict(improvement: float, p_holm: float, p_band_holm: float, cheape
     2. Else `harms`: the metric gets worse (two-sided test against zero, `p_holm`, and its sign), unless the harm is
        smaller than the band.
     3. Else `undecided`.
+
+    Parameters
+    ----------
+    improvement : float
+        The effect, above 0 where the metric is better with the component.
+    p_holm, p_band_holm : float
+        Of both tests, corrected (Holm).
+    cheaper : bool
+        Whether it makes one of the costs lower and none higher.
     """
     if p_band_holm < ALPHA:
         return Verdict.saves if cheaper else Verdict.undecided

@@ -195,7 +195,17 @@ class Measured:
     of_frames: list[Row] = field(default_factory=list)
 
     def add_renderer(self, series: str, setting: str, ms: float, errors: Mapping[str, Sequence[float]]) -> None:
-        """Add one that does not know the scatterers, with its errors by metric, one a frame."""
+        """Add one that does not know the scatterers.
+
+        Parameters
+        ----------
+        series, setting : str
+            Its name in tables.
+        ms : float
+            The median time of a frame.
+        errors : mapping of str to sequence of float
+            By metric, one a frame.
+        """
         means = {name: finite_mean(values) for name, values in errors.items()}
         self.points.extend(each(series, setting, ms, values=means))
         self.of_frames.extend(
