@@ -19,6 +19,7 @@
 
 # %%
 import sys
+from importlib import import_module
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -28,8 +29,7 @@ from IPython.display import Image
 from ablate.study.opened import found_study
 
 sys.path.insert(0, "../scripts")  # the analysis of docs/table2.md
-import table2
-import table2_figures
+table2, table2_figures = import_module("table2"), import_module("table2_figures")
 
 study = found_study(("runs/table2", "docs/results/table2"), "python -m ablate +study=table2")
 everything = table2.read_runs(study.folder)
