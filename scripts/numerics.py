@@ -52,13 +52,7 @@ SCORES = [
     "noise_sd",
     "fd_speckle",
 ]
-# Name on the page: the heading's first words in the summary.
-TABLES = {
-    "order": "Observed order",
-    "grids": "Error of a grid",
-    "limits": "Single precision",
-    "stages": "Stages of a simulated",
-}
+ORDER = "Observed order"  # the first words of the table of the summary that stands on the page
 
 
 def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
@@ -71,13 +65,8 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
     shown = tables(points, details)
-    texts = {
-        name: markdown(next((t for h, t in shown.items() if h.startswith(start)), pd.DataFrame()))
-        for name, start in TABLES.items()
-    }
-    head, _, _ = (made / "summary.txt").read_text().partition(f"\n{verdict(details)}")
-    about = " ".join(head.replace(f" in {runs.resolve()}", "").split("\n"))
-    return texts | {"about": about, "verdict": verdict(details)}
+    order = next((table for heading, table in shown.items() if heading.startswith(ORDER)), pd.DataFrame())
+    return {"order": markdown(order), "verdict": verdict(details)}
 
 
 def draw_kept() -> None:
