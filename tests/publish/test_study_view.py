@@ -67,6 +67,7 @@ def test_the_page_of_a_study_says_who_is_best_and_links_to_what_shows_it(stopped
     study, child = shown["study"], shown["sa2h/seed0"]
     note = study.data.tags["mlflow.note.content"]
     assert note.startswith("**Best**: sa2h by ")
+    assert study.data.tags["mlflow.source.name"] == "python -m ablate task=compare study_name=study"
     links = dict(re.findall(r"\[([^]]+)\]\((#/experiments/1/runs[^)]+)\)", note))
     assert links["Report"] == f"#/experiments/1/runs/{study.info.run_id}/artifacts/report.html"
     charts, table = (shared_view(runs, links[name]) for name in ("Side by side", "Leaderboard"))

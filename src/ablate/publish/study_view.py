@@ -49,7 +49,9 @@ def study_run(store: Store, settings: StudySettings) -> str:
 
 
 def _new_run(store: Store, settings: StudySettings) -> str:
-    run_id = str(store.create(settings.study, _STUDY, {"study": settings.study}).info.run_id)
+    command = f"python -m ablate task=compare study_name={shlex.quote(settings.study)}"
+    source = {"mlflow.source.name": command, "mlflow.source.type": "LOCAL"}  # the column Source
+    run_id = str(store.create(settings.study, _STUDY, {"study": settings.study} | source).info.run_id)
     store.client.log_param(run_id, "scene", settings.scene_name)
     return run_id
 
