@@ -313,6 +313,12 @@ def test_every_ladder_holds_the_data_sets_own_setting() -> None:
     assert list(of_rows) == [248, 500, 1000, 2000], "the nearest multiples of the samples of a row"
 
 
+def test_frames_of_several_angles_are_compared_with_those_of_fewer() -> None:
+    base = SimulatorSettings(compound_angles=5)
+    assert list(bench.ladders(base)["compound_angles"]) == [1, 3, 5]
+    assert bench.combined(base)[-1] == {"rays": 2, "layers": 1, "compound_angles": 1}
+
+
 def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     kept = ("limit", "simulator, float32 against float64", "16", "psnr", 90.0)
     rows = [

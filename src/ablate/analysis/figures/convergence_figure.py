@@ -18,6 +18,7 @@ SERIES = {
     "simulator, layers": ("#D55E00", "s", "none"),
     "simulator, scanlines": ("#009E73", "^", "none"),
     "simulator, axial samples": ("#CC79A7", "v", "none"),
+    "simulator, compound angles": ("#56B4E9", "P", "none"),
     "simulator, combined": ("#000000", "D", "none"),
 }
 _PANEL_IN = 2.7
