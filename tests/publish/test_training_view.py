@@ -1,6 +1,5 @@
 """A training has one run in MLflow, equal to its folder, however often it was stopped or published."""
 
-import json
 import re
 import shlex
 import shutil
@@ -15,7 +14,6 @@ import pandas as pd
 import pytest
 import torch
 from mlflow import MlflowClient
-from mlflow.data.schema import TensorDatasetSchema
 from mlflow.entities import Run
 from PIL import Image
 
@@ -95,19 +93,6 @@ def test_parameters_are_what_people_sort_by_and_the_study_has_only_its_scene(sto
     assert params.items() >= (components | sizes | others | more).items()
     assert [key for key in params if key.startswith("model.")] == ["model.width"]  # others: as task=describe
     assert shown["study"].data.params == {"scene": "fetal"}
-
-
-def test_a_run_names_the_pairs_that_it_was_trained_on(stopped_once: Job) -> None:
-    run = active_runs(stopped_once.settings.results)[NAME]
-    (used,) = run.inputs.dataset_inputs
-    assert used.dataset.name == stopped_once.data.name == f"fetal-{used.dataset.digest}"
-    assert run.data.tags["data_hash"] == used.dataset.digest
-    assert json.loads(used.dataset.profile) == {"num_rows": 10}
-    assert mlflow.data.get_source(used).uri == str(stopped_once.data.folder)
-    schema = TensorDatasetSchema.from_dict(json.loads(used.dataset.schema))
-    assert schema.targets.input_names() == ["resimulation", "target"]
-    assert set(schema.features.input_names()) == stopped_once.data.pairs.maps - {"resimulation", "target"}
-    assert {tag.key: tag.value for tag in used.tags} == {"mlflow.data.context": "training"}
 
 
 def test_a_real_training_goes_on_in_its_run_where_it_was_stopped(stopped_once: Job) -> None:
@@ -246,15 +231,6 @@ def test_new_scores_are_shown_instead_of_the_old_ones(runs: Path) -> None:
     score(other, 5.0)
     shown = publish(other).data.metrics
     assert (shown["test/mae"], "test/psnr" in shown) == (6.0, False)
-
-
-def test_pairs_that_are_damaged_stop_nothing(runs: Path) -> None:
-    job = job_in(runs)
-    finish(job)
-    for name in ("about.json", "pairs.zarr"):
-        job.data.folder.mkdir(parents=True, exist_ok=True)
-        (job.data.folder / name).write_text("{")
-    assert publish(job).info.status == "FINISHED"
 
 
 def test_a_quote_in_the_name_of_a_folder_breaks_nothing(runs: Path) -> None:

@@ -126,7 +126,6 @@ def content_of(runs: Path) -> dict[str, Any]:
             "points": sorted((point.key, point.step, point.value) for point in points),
             "tags": {key: value for key, value in run.data.tags.items() if key not in _OF_THE_MOMENT},
             "parent": ids.get(run.data.tags.get("mlflow.parentRunId", ""), "none"),
-            "data": [given.dataset.digest for given in run.inputs.dataset_inputs],
             "files": files_of(runs, run),
         }
     return content

@@ -18,7 +18,7 @@ from filelock import FileLock
 from mlflow import MlflowClient
 from mlflow.entities import Experiment, Metric, Run
 from mlflow.exceptions import MlflowException
-from sqlalchemy.engine import URL, make_url
+from sqlalchemy.engine import make_url
 
 from ablate.settings.study import StudySettings
 from ablate.storage import remove_partial, write_text, written_whole
@@ -123,16 +123,7 @@ def _quoted(value: str) -> str:
 
 def default_uri(runs: Path) -> str:
     """The SQLite file in a folder of runs."""
-    return _sqlite_uri(runs / "mlflow.db")
-
-
-def _sqlite_uri(path: Path) -> str:
-    """The address of an SQLite file; `%` and `?` of its folders are escaped where SQLAlchemy would read them as such.
-
-    The driver is named then, because MLflow makes the folders of `sqlite:///` itself, by their escaped names.
-    """
-    uri = f"sqlite:///{path}"
-    return uri if _database(uri) == path else URL.create("sqlite+pysqlite", database=str(path)).render_as_string()
+    return f"sqlite:///{runs / 'mlflow.db'}"  # a folder with `?` or `%` is refused before
 
 
 def _database(uri: str) -> Path | None:
@@ -257,7 +248,7 @@ def _make(path: Path) -> None:
     for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
         Path(f"{path}{suffix}").unlink(missing_ok=True)
     with written_whole(path) as partial:
-        MlflowClient(_sqlite_uri(partial)).search_experiments()
+        MlflowClient(f"sqlite:///{partial}").search_experiments()
 
 
 def _is_whole(path: Path) -> bool:
