@@ -47,7 +47,7 @@ def boxplot_panels(
     paired: pd.DataFrame | None = None,
     components: Sequence[Component] = (),
 ) -> list[Path]:
-    """Draw paired differences to the reference as box plots of these metrics side by side.
+    """Draw paired differences to the reference as box plots of these metrics side by side; no file without a pair.
 
     Boxes are quartiles, whiskers the 5th and 95th percentile over frames; the grey band and the line in it are the re-
     simulation's difference; the bar under a box is the interval of the median shift over sites.
@@ -66,11 +66,6 @@ def boxplot_panels(
         What `paired_table` gives, for the intervals.
     components : sequence of Component
         Changes of these are written in short.
-
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF; none without the reference or a second variant.
     """
     shown: dict[str, dict[str, np.ndarray]] = {}
     for metric in metrics:

@@ -34,11 +34,6 @@ def convergence_figure(points: pd.DataFrame, stem: Path, hardware: str = "") -> 
     hardware : str
         The device that the times were measured on, written on the figure.
 
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF.
-
     Raises
     ------
     ValueError

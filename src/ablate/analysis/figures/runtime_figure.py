@@ -53,11 +53,6 @@ def error_vs_runtime(
     components : sequence of Component
         Changes of these are written in short.
 
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF.
-
     Raises
     ------
     ValueError

@@ -31,7 +31,7 @@ def seed_plot(
 ) -> list[Path]:
     """Draw one ring a training at its mean over the test frames of which all have a value, with the baselines.
 
-    The grey band is the range of the reference's trainings.
+    The grey band is the range of the reference's trainings. Without a network no file is made.
 
     Parameters
     ----------
@@ -45,11 +45,6 @@ def seed_plot(
         The variant that the others are compared with.
     components : sequence of Component
         Changes of these are written in short.
-
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF; none without a network.
     """
     values = finite_values(per_image, scalars)
     networks = values[is_network(values["variant"])]
