@@ -1,8 +1,8 @@
-"""What a change of structure must not change: frames, trained runs, the tables of a comparison, the command's errors.
+"""What a change of structure must not change: frames, weights, scores and the tables of a comparison.
 
 python scripts/unchanged.py record FOLDER            # with the code of this checkout
 python scripts/unchanged.py record FOLDER --code DIR # with the code of another checkout of this project
-python scripts/unchanged.py compare BEFORE AFTER     # a table; exit code 1 where something differs unexplained
+python scripts/unchanged.py compare BEFORE AFTER     # what differs; exit code 1 where something does
 
 Everything is computed with one thread and fixed seeds, so equal code gives equal bits. Only the public surface of the
 package is used, so the script records a checkout from before a change and from after it.
@@ -46,47 +46,7 @@ TINY = [
     "evaluation.timed_frames=1",
     "evaluation.pictures=2",
 ]
-ERRORS = [
-    ["variant=sa3h"],
-    ["-m", "variant=sa2h,sa3h"],
-    ["variant=sa2h", "-m", "seed=0,one"],
-    ["variant=sa2h,nsa2h"],
-    ["trainin.steps=3"],
-    ["training.step=3"],
-    ["training.steps=soon"],
-    ["training.steps=0"],
-    ["training.crop=8"],
-    ["task=nothing"],
-    ["preset=huge"],
-    ["+study=nothing"],
-    ["model.depth=20"],
-    ["model.noise=loud"],
-    ["dataset.frames=0"],
-    ["dataset.grid=[1,2]"],
-    ["dataset.test=0.9", "dataset.validation=0.2"],
-    ["simulator.rays=0"],
-    ["simulator.plan=some"],
-    ["probe.fov_deg=200"],
-    ["metrics=best"],
-    ["metrics=[psnr,nothing.at.all]"],
-    ["encoding=random"],
-    ["scene=folder"],
-    ["scene=folder", "scene.folder=nowhere"],
-    ["scene=pairs", "scene.folder=nowhere"],
-    ["-m", "dataset.frames=12,13"],
-    ["--config-name", "other"],
-    ["hydra/launcher=joblib"],
-    ["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"],
-    ["evaluation.inception=nowhere.pt"],
-    ["seed=-1"],
-    ["task=compare"],
-    ["task=preview", "frame=9999", "dataset.frames=12"],
-]
 TIMES = re.compile(r"ms_per_frame|seconds|resumed")  # measured, never equal twice
-
-# Names that a change has given to stored columns, metrics and values, old to new; what they hold is compared.
-RENAMED = {"low": "lower", "high": "upper", "floor": "resimulation"}
-ENDINGS = {"_low": "_lower", "_high": "_upper"}
 
 
 def record(folder: Path, code: Path) -> None:
@@ -109,47 +69,29 @@ def record(folder: Path, code: Path) -> None:
         "MLFLOW_DISABLE_TELEMETRY": "true",
     }
 
-    def run(*command: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
+    def must(*command: str) -> str:
+        done = subprocess.run(
             [sys.executable, *command], capture_output=True, text=True, check=False, env=environment, cwd=folder
         )
-
-    def must(*command: str) -> str:
-        done = run(*command)
         if done.returncode:
             sys.exit(f"{' '.join(command)} failed:\n{done.stderr}")
         return done.stdout
 
     print("frames ...", flush=True)
     must(str(Path(__file__).resolve()), "frames", str(folder / "frames.npz"))
-    print("errors ...", flush=True)
-    said = {}
-    for arguments in ERRORS:
-        done = run("-m", "ablate", "runs_dir=nothing", *arguments)
-        said[" ".join(arguments)] = [done.returncode, done.stderr.replace(str(folder), "HERE").strip()]
-    (folder / "errors.json").write_text(json.dumps(said, indent=1))
-    shutil.rmtree(folder / "nothing", ignore_errors=True)
     print("runs ...", flush=True)
     must("-m", "ablate", "-m", f"variant={VARIANTS}", "runs_dir=runs", "study_name=tiny", *TINY)
     weights = {}
     for checkpoint in sorted((folder / "runs" / "tiny").rglob("last.ckpt")):
-        label = _label(checkpoint.parent.relative_to(folder / "runs" / "tiny"))
+        label = checkpoint.parent.name.rpartition("-")[0]
         weights[label] = must(str(Path(__file__).resolve()), "weights", str(checkpoint)).splitlines()
     (folder / "weights.json").write_text(json.dumps(weights, indent=1))
     for kept in sorted(path for path in (code / "docs" / "results").iterdir() if path.is_dir()):
         print(f"comparison of the kept study {kept.name} ...", flush=True)
         shutil.copytree(kept, folder / "runs" / kept.name)
-        done = run("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
-        if done.returncode:  # such as of the format of an earlier version
-            print(done.stderr.strip(), flush=True)
+        must("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
     print("stability ...", flush=True)
     must("-m", "ablate", "task=stability", "runs_dir=runs")
-    (folder / "describe.txt").write_text(must("-m", "ablate", "task=describe"))
-    (folder / "plan.txt").write_text(
-        must("-m", "ablate", "-m", "task=plan", f"variant={VARIANTS}", "runs_dir=other", *TINY).replace(
-            str(folder), "HERE"
-        )
-    )
 
 
 def frames(path: Path) -> None:
@@ -242,14 +184,8 @@ def compare(before: Path, after: Path) -> int:
     with np.load(before / "frames.npz") as a, np.load(after / "frames.npz") as b:
         for name in a.files:
             rows.append((f"frame {name}", _arrays(a[name], b[name] if name in b.files else None)))
-    for file in ("errors.json", "weights.json"):
-        old, new = (json.loads((side / file).read_text()) for side in (before, after))
-        for name in old:
-            same = old[name] == new.get(name)
-            rows.append((f"{file} {name}", "equal" if same else f"was {old[name]}\n    is {new.get(name)}"))
-    for file in ("describe.txt", "plan.txt"):
-        same = (before / file).read_text() == (after / file).read_text()
-        rows.append((file, "equal" if same else "differs"))
+    old, new = (json.loads((side / "weights.json").read_text()) for side in (before, after))
+    rows += [(f"weights {name}", "equal" if old[name] == new.get(name) else "differ") for name in old]
     for path in sorted((before / "runs").rglob("*")):
         name = path.relative_to(before)
         if "artifacts" in name.parts:
@@ -285,34 +221,19 @@ def _arrays(a: np.ndarray, b: np.ndarray | None) -> str:
     return f"{np.mean(apart > 0):.2%} differ, by {apart.max():.3g} at most"
 
 
-def _new(name: object) -> object:
-    if not isinstance(name, str):
-        return name
-    for old, new in ENDINGS.items():
-        name = name.removesuffix(old) + new if name.endswith(old) else name
-    return RENAMED.get(name, name)
-
-
-def _label(folder: Path) -> str:
-    """The name of a training's folder without its hash; before there were hashes it was `<label>/seed<k>`."""
-    return re.sub(r"[-/]seed(\d+)(-[0-9a-f]{8})?$", r"/seed\1", folder.as_posix())
-
-
 def _trainings(study: Path) -> Iterator[tuple[str, tuple[pd.DataFrame, dict[str, float]]]]:
-    """Values of frames and scalars of each training by its name, in this layout and in the one before it."""
-    for result in sorted((*study.glob("*/trained.json"), *study.glob("*/seed*/result.json"))):
+    """Values of frames and scalars of each training, by the name of its folder without its hash."""
+    for result in sorted(study.glob("*/trained.json")):
         scalars = json.loads(result.read_text())["scalars"]
-        files = sorted((*result.parent.glob("scores/*.parquet"), *result.parent.glob("per_image.parquet")))
+        files = sorted(result.parent.glob("scores/*.parquet"))
         for file in files:
             about = (pq.read_schema(file).metadata or {}).get(b"ablate", b"{}")
             scalars |= json.loads(about).get("scalars", {})
-        table = pd.concat([pd.read_parquet(file) for file in files]).drop(columns=["variant", "seed"], errors="ignore")
-        table = table.sort_values(["metric", "source", "split", "frame"]).reset_index(drop=True)
-        yield _label(result.parent.relative_to(study)), (table, scalars)
+        table = pd.concat(map(pd.read_parquet, files)).sort_values(["metric", "source", "split", "frame"])
+        yield result.parent.name.rpartition("-")[0], (table.reset_index(drop=True), scalars)
 
 
 def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
-    a = a.rename(columns=_new).map(_new)
     gone, new = set(a) - set(b), set(b) - set(a)
     if gone or len(a) != len(b):
         return f"columns gone {sorted(gone)}, new {sorted(new)}; {len(a)} rows, then {len(b)}"
@@ -335,8 +256,8 @@ def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
 
 
 def _scalars(old: dict[str, float], new: dict[str, float]) -> str:
-    old = {_new(k): v for k, v in old.items() if not TIMES.search(k)}
-    apart = [str(k) for k, v in old.items() if k not in new or new[k] != v]
+    old = {k: v for k, v in old.items() if not TIMES.search(k)}
+    apart = [k for k, v in old.items() if k not in new or new[k] != v]
     return f"differs: {', '.join(apart)}" if apart else "equal"
 
 
