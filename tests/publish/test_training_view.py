@@ -27,6 +27,7 @@ from ablate.study.job import Job
 from ablate.study.log import Status
 from ablate.study.training import Training
 from ablate.training import load_generator
+from support.finished_runs import PARAMETERS
 from support.published import (
     active_runs,
     another_process,
@@ -71,7 +72,7 @@ def test_a_run_has_what_is_in_the_folder_of_its_training(runs: Path) -> None:
     scores = {
         f"test/{prefix}{name}": value for name in ("psnr", "mae") for prefix, value in (("", 21.0), ("floor_", 29.0))
     }
-    costs = {"parameters_generator": 2.0, "parameters_discriminator": 1.0, "train/seconds": 3.0}
+    costs = {**PARAMETERS, "train/seconds": 3.0}
     assert run.data.metrics == {"train/l1": 0.25, **scores, **costs}, "no bounds, no NaN, no floor of validation frames"
     assert curve_of(runs) == CURVE
     tags = {"variant": "sa2h", "seed": "0", "study": "study", "config_hash": job.hash, "git_commit": "abc"}

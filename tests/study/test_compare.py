@@ -24,7 +24,7 @@ from ablate.study.reading import pictures
 from ablate.study.run import Run, RunList, read_list, write_list
 from ablate.study.scores import ScoreKey, by_metric, read_score, write_score
 from ablate.study.training import Training
-from support.finished_runs import PIXELS, WHOLE, timed
+from support.finished_runs import PIXELS, timed, write_training
 from support.studies import Unrendered, study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
@@ -56,15 +56,9 @@ def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames:
         },
         "seed": seed,
     }
-    hash_ = digest(identity)
-    training = Training(study / f"{label}-seed{seed}-{hash_[:8]}")
-    training.folder.mkdir(parents=True)
-    settings = {"model": identity["model"], "seed": seed}
-    about = {"label": label, "seed": seed, "changed": {}, "identity": identity, "settings": settings, "data": data}
-    write_json(training.folder / "training.json", {**about, "hash": hash_})
     sizes = {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
     notes = ["FID: no Inception weights were given."]
-    training.write_result({**WHOLE, "scalars": sizes, "notes": notes})
+    training = write_training(study, label, identity, data, scalars=sizes, notes=notes)
     rows = [
         {"frame": f, "site": f % SITES, "metric": m, "source": source, "split": split, "value": 20 + k + rng.normal()}
         for k, m in enumerate(METRICS)
@@ -76,7 +70,7 @@ def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames:
     keys = [ScoreKey(metric, "v2", 3, PIXELS) for metric in (*METRICS, "fd_speckle")]
     for key, score in by_metric(Scores(pd.DataFrame(rows), SCALARS | scalars), keys).items():
         write_score(training.scores, key, score)
-    run = Run(Training(training.folder), label, {}, tuple(key.file_name for key in keys))
+    run = Run(training, label, {}, tuple(key.file_name for key in keys))
     listed(study, *(one for one in read_list(study).runs if one.name != run.name), run)
     return run
 
