@@ -16,6 +16,8 @@ import pandas as pd
 from scipy.stats import kendalltau
 from scipy.stats import t as student
 
+from ablate.analysis import holm
+
 #: Table II of Zhang, Portenier and Goksel: PSNR, dB; MAE, grey levels; patch chi-square; FID.
 PAPER = pd.DataFrame(
     {
@@ -108,15 +110,6 @@ def tests(runs: pd.DataFrame) -> pd.DataFrame:
     for name in ("p", "p_reversed"):
         table[f"{name}_holm"] = holm(table[name].to_numpy())
     return table
-
-
-def holm(p: np.ndarray) -> np.ndarray:
-    """Holm (1979): the k-th smallest of m is multiplied by m - k + 1, and none is below the one before."""
-    order = np.argsort(p)
-    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    adjusted = np.empty(len(p))
-    adjusted[order] = np.minimum(raised, 1)
-    return adjusted
 
 
 def verdict(runs: pd.DataFrame, table: pd.DataFrame) -> str:

@@ -50,15 +50,7 @@ TIMES = re.compile(r"ms_per_frame|seconds|resumed")  # measured, never equal twi
 
 
 def record(folder: Path, code: Path) -> None:
-    """Compute everything that is compared.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it goes; what is there is replaced.
-    code : Path
-        Root of the checkout that is recorded.
-    """
+    """Compute everything that is compared by the checkout `code`, into `folder`; what is there is replaced."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     environment = {
@@ -173,13 +165,7 @@ def weights(path: Path) -> None:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print what is equal and what is not.
-
-    Returns
-    -------
-    int
-        How many items differ.
-    """
+    """Print what is equal and what is not; returns how many items differ."""
     rows: list[tuple[str, str]] = []
     with np.load(before / "frames.npz") as a, np.load(after / "frames.npz") as b:
         for name in a.files:

@@ -61,7 +61,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    drawers = [f"{name}_figure" for name in ("boxplot", "seed", "forest", "qualitative", "chi2_maps")]
+    drawers = [f"{name}_figure" for name in ("boxplot", "forest", "qualitative", "chi2_maps")]
     for module in (*drawers, "point_names"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn

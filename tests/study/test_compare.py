@@ -147,7 +147,7 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "paired.csv", "claims.csv", "effects.csv"}
     assert names >= {"verdicts.csv", "runs.csv"}
-    figures = {"verdicts", "boxplots", "seeds", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
+    figures = {"verdicts", "boxplots", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()
     table = pd.read_csv(folder / "table.csv").set_index("variant")
@@ -221,7 +221,6 @@ def test_one_variant(tmp_path: Path) -> None:
     assert "nothing is compared" in report
     assert "not claimable" in report
     assert pd.read_csv(folder / "table.csv").shape[0] == 2, "what there is, is shown"
-    assert (folder / "seeds.png").exists()
     assert not (folder / "boxplots.png").exists()
 
 
@@ -231,7 +230,6 @@ def test_a_missing_reference(study: Path) -> None:
     assert "The reference lsa2h is missing" in notes
     assert "The reference lsa2h is missing" in report
     assert (folder / "table.tex").exists()
-    assert (folder / "seeds.png").exists()
     assert not (folder / "boxplots.png").exists()
     assert pd.read_csv(folder / "paired.csv").empty
 
