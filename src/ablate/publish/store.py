@@ -18,7 +18,6 @@ from filelock import FileLock
 from mlflow import MlflowClient
 from mlflow.entities import Experiment, Metric, Run
 from mlflow.exceptions import MlflowException
-from sqlalchemy.engine import make_url
 
 from ablate.settings.study import StudySettings
 from ablate.storage import remove_partial, write_text, written_whole
@@ -126,14 +125,6 @@ def default_uri(runs: Path) -> str:
     return f"sqlite:///{runs / 'mlflow.db'}"  # a folder with `?` or `%` is refused before
 
 
-def _database(uri: str) -> Path | None:
-    """The SQLite file at an address; None for other stores, for one in memory, and where the address has options."""
-    url = make_url(uri) if uri.startswith("sqlite") else None
-    if url is None or url.host or url.query or url.database in (None, "", ":memory:"):
-        return None
-    return Path(str(url.database))
-
-
 def store_uri(settings: StudySettings) -> str:
     """The address of the store that the settings name."""
     return settings.tracking.uri or default_uri(settings.results)
@@ -159,7 +150,6 @@ def open_store(settings: StudySettings) -> Store:
         return Store(default_uri(runs), experiment_id, lock, artifacts=_artifacts(runs), owner={})
     with FileLock(lock, timeout=_LOCK_S):
         owner = _owner(runs)
-    _make_database(uri)
     experiment_id = _experiment(MlflowClient(uri), experiment)  # without the lock: a silent server is waited for here
     return Store(uri, experiment_id, lock, artifacts="", owner={"runs": owner})
 
@@ -230,16 +220,6 @@ def _replace(path: Path, why: str) -> None:
             file.rename(f"{aside}{suffix}")
     _LOG.warning("%s: %s; it is now %s.*; task=compare of each study fills a new one", path, why, aside.with_suffix(""))
     _make(path)
-
-
-def _make_database(uri: str) -> None:
-    """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone."""
-    path = _database(uri)
-    if path is None or path.exists():
-        return
-    with FileLock(f"{path}.lock", timeout=_LOCK_S):  # another folder of runs may make the same file
-        if not path.exists():
-            _make(path)
 
 
 def _make(path: Path) -> None:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from ablate.analysis import RESIMULATION, FramePictures, StudyResults
 from ablate.study.comparable import ComparableRuns, comparable_runs
 from ablate.study.reading import pictures, results_of, table_of_runs
-from ablate.study.run import RunList, earlier_layout, read_list
+from ablate.study.run import RunList, read_list
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
 ANSWER = ("runs/full_model", "docs/results/full_model")  # where `make answer` leaves its study, and where it is kept
@@ -108,8 +108,7 @@ def open_study(path: str | Path) -> Study:
     listed = read_list(Path(path).resolve())
     usable = comparable_runs(listed)
     if not usable.runs:
-        told = [*usable.notes, *earlier_layout(listed.folder)]
-        raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *told]))
+        raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *usable.notes]))
     return Study(listed, usable)
 
 
