@@ -25,27 +25,7 @@ import pyarrow.parquet as pq
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = "sa2h,sa2h-att,sa2h-conv,nsa2h"
-TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=32",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
-    "simulator.image_shape=[256,355]",
-    "dataset.frames=12",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.shard=3",
-    "dataset.workers=1",
-    "model.width=0.05",
-    "training.steps=4",
-    "training.checkpoint_every=2",
-    "training.validate_every=2",
-    "training.threads=1",
-    "evaluation.timed_frames=1",
-    "evaluation.pictures=2",
-]
+TINY = ["preset=tiny", "simulator.image_shape=[256,355]", "training.threads=1"]
 TIMES = re.compile(r"ms_per_frame|seconds|resumed")  # measured, never equal twice
 
 
@@ -87,39 +67,26 @@ def record(folder: Path, code: Path) -> None:
 
 
 def frames(path: Path) -> None:
-    """Every map of a frame of five scenes, at high and at low quality, and of the patient where it is."""
+    """Every map of a frame of solids that overlap and of the built-in anatomy, at high and at low quality."""
     import torch
     import trimesh
 
-    from ablate.anatomy import Scene, Structure, fetal_abdomen, load_scene, load_tissues
+    from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_planes, load_tissues
     from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
     torch.set_num_threads(1)
     tissues = load_tissues()
-
-    def box(name: str, near_mm: float, far_mm: float) -> Structure:
-        mesh = trimesh.creation.box((120.0, 80.0, far_mm - near_mm))
-        mesh.apply_translation((10.0, 0.0, (near_mm + far_mm) / 2))
-        return Structure(mesh, tissues[name])
 
     def ball(name: str, depth_mm: float, radius_mm: float) -> Structure:
         mesh = trimesh.creation.icosphere(4, radius_mm)
         mesh.apply_translation((0.0, 0.0, depth_mm))
         return Structure(mesh, tissues[name])
 
-    gel, names = tissues["coupling_gel"], list(tissues)
-    soft, bone = names[names.index("liver")], next(n for n in names if "bone" in n)
+    balls = (ball("liver", 63.0, 60.0), ball("fat", 50.0, 30.0), ball("fetal_bone", 70.0, 20.0))
     scenes = {
-        "gel": Scene((), gel, "gel"),
-        "ball": Scene((ball(soft, 60.0, 40.0),), gel, "ball"),
-        "bone": Scene((box(soft, 3.0, 140.0), box(bone, 40.0, 55.0)), gel, "bone"),
-        "overlap": Scene((box(soft, 3.0, 120.0), ball("fat", 50.0, 30.0), ball(bone, 70.0, 20.0)), gel, "overlap"),
-        "fetal": fetal_abdomen(triangles=20_000),
+        "overlap": (Scene(balls, tissues["coupling_gel"], "overlap"), np.eye(4)),
+        "fetal": (fetal_abdomen(triangles=20_000), fetal_planes()["abdomen"]),
     }
-    cases = Path(os.environ.get("ABLATE_CASES", ROOT.parent / "shared" / "cases")) / "ircad11"
-    if cases.is_dir():
-        scenes["patient"] = load_scene(cases)
-    probe = ConvexProbe(frequency_mhz=3.0)
     size = {"scanlines": 96, "axial_samples": 768, "image_shape": (256, 355), "axial_fwhm_mm": 1.2}
     kinds = {
         "high": SimulatorSettings(rays=16, layers=3, **size),
@@ -127,18 +94,9 @@ def frames(path: Path) -> None:
         "full": SimulatorSettings(rays=4, layers=1, plan="full", depth_mode="time_of_flight", **size),
     }
     made = {}
-    for name, scene in scenes.items():
-        pose = np.eye(4)
-        if name in ("fetal", "patient"):
-            lower, upper = (
-                np.min([s.mesh.bounds[0] for s in scene.structures], 0),
-                np.max([s.mesh.bounds[1] for s in scene.structures], 0),
-            )
-            centre = (lower + upper) / 2
-            pose[:3, :3] = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]
-            pose[:3, 3] = (centre[0], lower[1] + 12.0, centre[2])
+    for name, (scene, pose) in scenes.items():
         for kind, settings in kinds.items():
-            frame = Simulator(scene, probe, settings).render(pose, seed=3)
+            frame = Simulator(scene, ConvexProbe(frequency_mhz=3.0), settings).render(pose, seed=3)
             for part in ("segmentation", "attenuation", "image", "mask", "envelope"):
                 made[f"{name}/{kind}/{part}"] = getattr(frame, part)
     np.savez_compressed(path, **made)
