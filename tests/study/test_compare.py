@@ -280,11 +280,11 @@ def test_cautions_notes_and_times_are_of_all_runs_that_verdicts_use(study: Path)
     assert runs.loc[("sa2h", 4), METRICS[-1]] == pytest.approx(shared["value"].mean())
     opened = ablate.open_study(study)
     assert timed_on(opened.usable.all) == "a machine"
-    assert opened.scalars.query("metric == 'ms_per_frame'")["value"].max() < 99, (
+    assert opened.results.scalars.query("metric == 'ms_per_frame'")["value"].max() < 99, (
         "times are of the machine that is named"
     )
     assert set(opened.per_image["data"]) == {"fetal-0"}
-    assert set(opened.blocks["data"]) == {"fetal-1"}
+    assert set(opened.results.blocks["data"]) == {"fetal-1"}
 
 
 def test_runs_of_different_data_sets(study: Path) -> None:

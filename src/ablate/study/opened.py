@@ -52,18 +52,6 @@ class Study:
         return self.results.per_image
 
     @property
-    def scalars(self) -> pd.DataFrame:
-        """Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance."""
-        assert self.results.scalars is not None
-        return self.results.scalars
-
-    @property
-    def blocks(self) -> pd.DataFrame:
-        """The rows as in `per_image` of the runs `usable.blocks`."""
-        assert self.results.blocks is not None
-        return self.results.blocks
-
-    @property
     def table(self) -> pd.DataFrame:
         """Mean and spread of every metric of every variant; see `analysis.comparison_table`."""
         return self.results.table
@@ -72,11 +60,6 @@ class Study:
     def floor(self) -> pd.DataFrame:
         """The rows of `table` that are of the re-simulation, by metric."""
         return self.table[self.table["variant"] == RESIMULATION].set_index("metric").drop(columns="variant")
-
-    @property
-    def paired(self) -> pd.DataFrame:
-        """Every variant beside the reference, frame by frame; see `analysis.paired_table`."""
-        return self.results.paired
 
     @cached_property
     def runs(self) -> pd.DataFrame:
