@@ -56,4 +56,4 @@ boxes_of(shown_in(Shown.headline))
 # are best at 0.
 
 # %%
-boxes_of([name for name in shown_in(Shown.panels) if metric_of(name).group is Group.mechanism])
+boxes_of([name for name in shown_in(Shown.screen) if metric_of(name).group is Group.mechanism])

@@ -57,10 +57,6 @@ def sizes_of(values: pd.DataFrame) -> Sizes:
     values : DataFrame
         Columns variant, seed, site, frame and value: one metric, as in `Study.per_image`.
 
-    Returns
-    -------
-    Sizes
-
     Raises
     ------
     ValueError

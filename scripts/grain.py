@@ -1,8 +1,9 @@
-"""What the grain of the body brings: a table of the trainings of a study, and a cine of a probe that is rocked.
+"""What the grain of the body brings: a table of the scores of a study, and a cine of a probe that is rocked.
 
 python -m ablate +study=noise
 python scripts/grain.py table runs/noise              # scores on validation sites, means over the seeds
 python scripts/grain.py table runs/noise --part test
+python scripts/grain.py table runs/representation --metrics mae_smooth pchi2_tissue shadow_contrast crps
 python scripts/grain.py cine                          # docs/grain.webp, and docs/pair.png
 """
 
@@ -33,10 +34,10 @@ FRAMES, MOST_DEG, FRAME_MS = 32, 6.0, 80
 LETTERS = 15
 
 
-def table(study: Path, part: str) -> pd.DataFrame:
+def table(study: Path, part: str, metrics: Sequence[str] = SHOWN) -> pd.DataFrame:
     """A row a network, mean over its trainings, and one of re-simulation; with minutes of training of one core."""
     prefix = "test" if part == "test" else "val"
-    names = SHOWN + (OF_TEST_FRAMES if part == "test" else ())
+    names = (*metrics, *(OF_TEST_FRAMES if part == "test" else ()))
     rows = []
     for run in ablate.open_study(study).usable.runs:
         values = {name: run.scalars.get(f"{prefix}/{name}", np.nan) for name in names}
@@ -98,11 +99,12 @@ def main() -> None:
     parser.add_argument("what", choices=("table", "cine"))
     parser.add_argument("study", type=Path, nargs="*", default=[Path("runs/noise")])
     parser.add_argument("--part", choices=("validation", "test"), default="validation")
+    parser.add_argument("--metrics", nargs="+", default=SHOWN)
     arguments = parser.parse_args()
     if arguments.what == "cine":
         cine(arguments.study)
     else:
-        print(markdown(table(arguments.study[0], arguments.part).map("{:.3g}".format)))
+        print(markdown(table(arguments.study[0], arguments.part, arguments.metrics).map("{:.3g}".format)))
 
 
 if __name__ == "__main__":

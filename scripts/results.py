@@ -35,24 +35,8 @@ PAGE = DOCS / "results.md"
 def keep(study: Path, kept: Path = KEPT) -> list[str]:
     """Copy the runs that a study's comparison is of, small: what is kept already stays as it is.
 
-    A run that is kept with the same name and another configuration is replaced.
-
-    Parameters
-    ----------
-    study : Path
-        As `runs/full_model`.
-    kept : Path
-        Folder of kept studies.
-
-    Returns
-    -------
-    list of str
-        A line a run copied, and a sentence for what was left aside.
-
-    Raises
-    ------
-    ValueError
-        When the study has no comparison of finished runs.
+    A run that is kept with the same name and another configuration is replaced. A study without a comparison of
+    finished runs is a ValueError. What is returned is a line a run copied, and a sentence for what was left aside.
     """
     study = study.resolve()
     listed = read_list(study)
@@ -122,15 +106,7 @@ def _write_list(target: Path, listed: RunList) -> None:
 def keep_frame(runs: Sequence[Run], path: Path) -> list[str]:
     """Keep the target, the re-simulation and the maps of the first frame that all runs show, where pairs are on disk.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-    path : Path
-
-    Returns
-    -------
-    list of str
-        Why it is not kept; empty when it is.
+    What is returned says why it is not kept; it is empty when it is.
     """
     try:
         frames = pictures(runs)
@@ -149,19 +125,7 @@ def keep_frame(runs: Sequence[Run], path: Path) -> list[str]:
 
 
 def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
-    """Put kept runs, and the lists of those that are compared, where commands look for them. What is there stays.
-
-    Parameters
-    ----------
-    kept : Path
-        Folder of kept studies.
-    runs_dir : Path
-
-    Returns
-    -------
-    list of str
-        A line a run.
-    """
+    """Put kept runs, and the lists of those that are compared, where commands look for them. What is there stays."""
     lines = []
     for result in sorted(kept.glob(f"*/*/{RESULT}")):
         name = result.parent.relative_to(kept)

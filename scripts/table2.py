@@ -7,7 +7,6 @@ python scripts/table2.py keep        # adds what the kept study lacks to tell se
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +14,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 from scipy.stats import t as student
+
+from ablate.analysis import holm
+from ablate.study.run import Run, read_list
 
 #: Table II of Zhang, Portenier and Goksel: PSNR, dB; MAE, grey levels; patch chi-square; FID.
 PAPER = pd.DataFrame(
@@ -110,15 +112,6 @@ def tests(runs: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def holm(p: np.ndarray) -> np.ndarray:
-    """Holm (1979): the k-th smallest of m is multiplied by m - k + 1, and none is below the one before."""
-    order = np.argsort(p)
-    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    adjusted = np.empty(len(p))
-    adjusted[order] = np.minimum(raised, 1)
-    return adjusted
-
-
 def verdict(runs: pd.DataFrame, table: pd.DataFrame) -> str:
     """The verdict by the rule of docs/table2.md."""
     of_sa2h = runs[runs["network"] == "sa2h"]
@@ -155,35 +148,27 @@ def read_runs(folder: Path, sites: str = "all") -> pd.DataFrame:
 
     `sites` are `all`, `seen` in training or `unseen`; distances of sets of frames are of all.
     """
-    jobs = json.loads((folder / "comparison" / "jobs.json").read_text())["jobs"]
-    return pd.DataFrame([_run(folder, job, sites) for job in jobs])
+    return pd.DataFrame([_row(run, sites) for run in read_list(folder).runs])
 
 
-def _run(folder: Path, job: Mapping[str, object], sites: str) -> dict[str, object]:
-    about = json.loads((folder / str(job["training"]) / "training.json").read_text())
-    changes = about["changed"]
-    scores = job["scores"]
-    assert isinstance(scores, Sequence)
-    files = [folder / str(job["training"]) / "scores" / str(name) for name in scores]
-    frames = _test_frames(files).query("source == 'model'")
+def _row(run: Run, sites: str) -> dict[str, object]:
+    frames = _test_frames(run).query("source == 'model'")
     if sites != "all":
-        kept = seen_sites(folder, about["data"])
+        kept = seen_sites(run.training.folder.parent, run.data)
         frames = frames[frames["site"].isin(kept) == (sites == "seen")]
-    means = frames[np.isfinite(frames["value"])].groupby("metric")["value"].mean()
-    of_set = {name: _scalar(files, name) for name in ("fd_speckle",)}
     return {
-        "network": str(job["label"]).partition(".")[0],
-        "labels": changes.get("encoding", "arbitrary"),
-        "anatomy": changes["scene.anatomy_seed"],
-        "seed": about["seed"],
-        **means,
-        **of_set,
+        "network": run.label.partition(".")[0],
+        "labels": run.training.changed.get("encoding", "arbitrary"),
+        "anatomy": run.training.changed["scene.anatomy_seed"],
+        "seed": run.seed,
+        **frames.groupby("metric")["value"].mean(),
+        "fd_speckle": run.scalars["test/fd_speckle"],
     }
 
 
-def _test_frames(files: Sequence[Path]) -> pd.DataFrame:
-    """The scores of test frames, of the network and of the baselines."""
-    return pd.concat([pd.read_parquet(file) for file in files]).query("split == 'test'")
+def _test_frames(run: Run) -> pd.DataFrame:
+    """The finite scores of test frames, of the network and of the baselines."""
+    return run.scores[(run.scores["split"] == "test") & np.isfinite(run.scores["value"])]
 
 
 def on_the_scale(folder: Path) -> pd.DataFrame:
@@ -191,28 +176,15 @@ def on_the_scale(folder: Path) -> pd.DataFrame:
 
     `place` is where SA2H is on the way from the formula, 0, to re-simulation, 1.
     """
-    jobs = json.loads((folder / "comparison" / "jobs.json").read_text())["jobs"]
     tables = []
-    for job in jobs:
-        of_run = folder / str(job["training"])
-        changed = json.loads((of_run / "training.json").read_text())["changed"]
-        if job["label"].partition(".")[0] != "sa2h" or "encoding" in changed:
-            continue
-        frames = _test_frames([of_run / "scores" / name for name in job["scores"]])
-        means = frames[np.isfinite(frames["value"])].groupby(["source", "metric"])["value"].mean()
-        tables.append(means.rename(changed["scene.anatomy_seed"]))
+    for run in read_list(folder).runs:
+        if run.label.partition(".")[0] == "sa2h" and "encoding" not in run.training.changed:
+            means = _test_frames(run).groupby(["source", "metric"])["value"].mean()
+            tables.append(means.rename(run.training.changed["scene.anatomy_seed"]))
     of_anatomies = pd.concat(tables, axis=1).T.groupby(level=0).mean().mean()
     table = of_anatomies.unstack("source")[["formula", "model", "resimulation"]].rename(columns={"model": "sa2h"})
     table["place"] = (table["sa2h"] - table["formula"]) / (table["resimulation"] - table["formula"])
     return table.loc[["psnr", "mae", "pchi2", "mae_smooth", "shadow_contrast", "thin_contrast", "octave_sd"]]
-
-
-def _scalar(files: Sequence[Path], metric: str) -> float:
-    import pyarrow.parquet as pq
-
-    (file,) = [file for file in files if file.name.startswith(f"{metric}@")]
-    metadata = pq.read_schema(file).metadata or {}
-    return float(json.loads(metadata[b"ablate"])["scalars"][f"test/{metric}"])
 
 
 def seen_sites(folder: Path, data: str) -> set[int]:

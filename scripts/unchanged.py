@@ -1,8 +1,8 @@
-"""What a change of structure must not change: frames, trained runs, the tables of a comparison, the command's errors.
+"""What a change of structure must not change: frames, weights, scores and the tables of a comparison.
 
 python scripts/unchanged.py record FOLDER            # with the code of this checkout
 python scripts/unchanged.py record FOLDER --code DIR # with the code of another checkout of this project
-python scripts/unchanged.py compare BEFORE AFTER     # a table; exit code 1 where something differs unexplained
+python scripts/unchanged.py compare BEFORE AFTER     # what differs; exit code 1 where something does
 
 Everything is computed with one thread and fixed seeds, so equal code gives equal bits. Only the public surface of the
 package is used, so the script records a checkout from before a change and from after it.
@@ -25,80 +25,12 @@ import pyarrow.parquet as pq
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = "sa2h,sa2h-att,sa2h-conv,nsa2h"
-TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=32",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
-    "simulator.image_shape=[256,355]",
-    "dataset.frames=12",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.shard=3",
-    "dataset.workers=1",
-    "model.width=0.05",
-    "training.steps=4",
-    "training.checkpoint_every=2",
-    "training.validate_every=2",
-    "training.threads=1",
-    "evaluation.timed_frames=1",
-    "evaluation.pictures=2",
-]
-ERRORS = [
-    ["variant=sa3h"],
-    ["-m", "variant=sa2h,sa3h"],
-    ["variant=sa2h", "-m", "seed=0,one"],
-    ["variant=sa2h,nsa2h"],
-    ["trainin.steps=3"],
-    ["training.step=3"],
-    ["training.steps=soon"],
-    ["training.steps=0"],
-    ["training.crop=8"],
-    ["task=nothing"],
-    ["preset=huge"],
-    ["+study=nothing"],
-    ["model.depth=20"],
-    ["model.noise=loud"],
-    ["dataset.frames=0"],
-    ["dataset.grid=[1,2]"],
-    ["dataset.test=0.9", "dataset.validation=0.2"],
-    ["simulator.rays=0"],
-    ["simulator.plan=some"],
-    ["probe.fov_deg=200"],
-    ["metrics=best"],
-    ["metrics=[psnr,nothing.at.all]"],
-    ["encoding=random"],
-    ["scene=folder"],
-    ["scene=folder", "scene.folder=nowhere"],
-    ["scene=pairs", "scene.folder=nowhere"],
-    ["-m", "dataset.frames=12,13"],
-    ["--config-name", "other"],
-    ["hydra/launcher=joblib"],
-    ["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"],
-    ["evaluation.inception=nowhere.pt"],
-    ["seed=-1"],
-    ["task=compare"],
-    ["task=preview", "frame=9999", "dataset.frames=12"],
-]
+TINY = ["preset=tiny", "simulator.image_shape=[256,355]", "training.threads=1"]
 TIMES = re.compile(r"ms_per_frame|seconds|resumed")  # measured, never equal twice
-
-# Names that a change has given to stored columns, metrics and values, old to new; what they hold is compared.
-RENAMED = {"low": "lower", "high": "upper", "floor": "resimulation"}
-ENDINGS = {"_low": "_lower", "_high": "_upper"}
 
 
 def record(folder: Path, code: Path) -> None:
-    """Compute everything that is compared.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it goes; what is there is replaced.
-    code : Path
-        Root of the checkout that is recorded.
-    """
+    """Compute everything that is compared by the checkout `code`, into `folder`; what is there is replaced."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     environment = {
@@ -109,83 +41,52 @@ def record(folder: Path, code: Path) -> None:
         "MLFLOW_DISABLE_TELEMETRY": "true",
     }
 
-    def run(*command: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
+    def must(*command: str) -> str:
+        done = subprocess.run(
             [sys.executable, *command], capture_output=True, text=True, check=False, env=environment, cwd=folder
         )
-
-    def must(*command: str) -> str:
-        done = run(*command)
         if done.returncode:
             sys.exit(f"{' '.join(command)} failed:\n{done.stderr}")
         return done.stdout
 
     print("frames ...", flush=True)
     must(str(Path(__file__).resolve()), "frames", str(folder / "frames.npz"))
-    print("errors ...", flush=True)
-    said = {}
-    for arguments in ERRORS:
-        done = run("-m", "ablate", "runs_dir=nothing", *arguments)
-        said[" ".join(arguments)] = [done.returncode, done.stderr.replace(str(folder), "HERE").strip()]
-    (folder / "errors.json").write_text(json.dumps(said, indent=1))
-    shutil.rmtree(folder / "nothing", ignore_errors=True)
     print("runs ...", flush=True)
     must("-m", "ablate", "-m", f"variant={VARIANTS}", "runs_dir=runs", "study_name=tiny", *TINY)
     weights = {}
     for checkpoint in sorted((folder / "runs" / "tiny").rglob("last.ckpt")):
-        label = _label(checkpoint.parent.relative_to(folder / "runs" / "tiny"))
+        label = checkpoint.parent.name.rpartition("-")[0]
         weights[label] = must(str(Path(__file__).resolve()), "weights", str(checkpoint)).splitlines()
     (folder / "weights.json").write_text(json.dumps(weights, indent=1))
     for kept in sorted(path for path in (code / "docs" / "results").iterdir() if path.is_dir()):
         print(f"comparison of the kept study {kept.name} ...", flush=True)
         shutil.copytree(kept, folder / "runs" / kept.name)
-        done = run("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
-        if done.returncode:  # such as of the format of an earlier version
-            print(done.stderr.strip(), flush=True)
+        must("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
     print("stability ...", flush=True)
     must("-m", "ablate", "task=stability", "runs_dir=runs")
-    (folder / "describe.txt").write_text(must("-m", "ablate", "task=describe"))
-    (folder / "plan.txt").write_text(
-        must("-m", "ablate", "-m", "task=plan", f"variant={VARIANTS}", "runs_dir=other", *TINY).replace(
-            str(folder), "HERE"
-        )
-    )
 
 
 def frames(path: Path) -> None:
-    """Every map of a frame of five scenes, at high and at low quality, and of the patient where it is."""
+    """Every map of a frame of solids that overlap and of the built-in anatomy, at high and at low quality."""
     import torch
     import trimesh
 
-    from ablate.anatomy import Scene, Structure, fetal_abdomen, load_scene, load_tissues
+    from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_planes, load_tissues
     from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
     torch.set_num_threads(1)
     tissues = load_tissues()
-
-    def box(name: str, near_mm: float, far_mm: float) -> Structure:
-        mesh = trimesh.creation.box((120.0, 80.0, far_mm - near_mm))
-        mesh.apply_translation((10.0, 0.0, (near_mm + far_mm) / 2))
-        return Structure(mesh, tissues[name])
 
     def ball(name: str, depth_mm: float, radius_mm: float) -> Structure:
         mesh = trimesh.creation.icosphere(4, radius_mm)
         mesh.apply_translation((0.0, 0.0, depth_mm))
         return Structure(mesh, tissues[name])
 
-    gel, names = tissues["coupling_gel"], list(tissues)
-    soft, bone = names[names.index("liver")], next(n for n in names if "bone" in n)
+    balls = (ball("liver", 63.0, 60.0), ball("fat", 50.0, 30.0), ball("fetal_bone", 70.0, 20.0))
     scenes = {
-        "gel": Scene((), gel, "gel"),
-        "ball": Scene((ball(soft, 60.0, 40.0),), gel, "ball"),
-        "bone": Scene((box(soft, 3.0, 140.0), box(bone, 40.0, 55.0)), gel, "bone"),
-        "overlap": Scene((box(soft, 3.0, 120.0), ball("fat", 50.0, 30.0), ball(bone, 70.0, 20.0)), gel, "overlap"),
-        "fetal": fetal_abdomen(triangles=20_000),
+        "overlap": (Scene(balls, tissues["coupling_gel"], "overlap"), np.eye(4)),
+        "fetal": (fetal_abdomen(triangles=20_000), fetal_planes()["abdomen"]),
     }
-    cases = Path(os.environ.get("ABLATE_CASES", ROOT.parent / "shared" / "cases")) / "ircad11"
-    if cases.is_dir():
-        scenes["patient"] = load_scene(cases)
-    probe = ConvexProbe(frequency_mhz=3.0)
     size = {"scanlines": 96, "axial_samples": 768, "image_shape": (256, 355), "axial_fwhm_mm": 1.2}
     kinds = {
         "high": SimulatorSettings(rays=16, layers=3, **size),
@@ -193,18 +94,9 @@ def frames(path: Path) -> None:
         "full": SimulatorSettings(rays=4, layers=1, plan="full", depth_mode="time_of_flight", **size),
     }
     made = {}
-    for name, scene in scenes.items():
-        pose = np.eye(4)
-        if name in ("fetal", "patient"):
-            lower, upper = (
-                np.min([s.mesh.bounds[0] for s in scene.structures], 0),
-                np.max([s.mesh.bounds[1] for s in scene.structures], 0),
-            )
-            centre = (lower + upper) / 2
-            pose[:3, :3] = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]
-            pose[:3, 3] = (centre[0], lower[1] + 12.0, centre[2])
+    for name, (scene, pose) in scenes.items():
         for kind, settings in kinds.items():
-            frame = Simulator(scene, probe, settings).render(pose, seed=3)
+            frame = Simulator(scene, ConvexProbe(frequency_mhz=3.0), settings).render(pose, seed=3)
             for part in ("segmentation", "attenuation", "image", "mask", "envelope"):
                 made[f"{name}/{kind}/{part}"] = getattr(frame, part)
     np.savez_compressed(path, **made)
@@ -231,25 +123,13 @@ def weights(path: Path) -> None:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print what is equal and what is not.
-
-    Returns
-    -------
-    int
-        How many items differ.
-    """
+    """Print what is equal and what is not; returns how many items differ."""
     rows: list[tuple[str, str]] = []
     with np.load(before / "frames.npz") as a, np.load(after / "frames.npz") as b:
         for name in a.files:
             rows.append((f"frame {name}", _arrays(a[name], b[name] if name in b.files else None)))
-    for file in ("errors.json", "weights.json"):
-        old, new = (json.loads((side / file).read_text()) for side in (before, after))
-        for name in old:
-            same = old[name] == new.get(name)
-            rows.append((f"{file} {name}", "equal" if same else f"was {old[name]}\n    is {new.get(name)}"))
-    for file in ("describe.txt", "plan.txt"):
-        same = (before / file).read_text() == (after / file).read_text()
-        rows.append((file, "equal" if same else "differs"))
+    old, new = (json.loads((side / "weights.json").read_text()) for side in (before, after))
+    rows += [(f"weights {name}", "equal" if old[name] == new.get(name) else "differ") for name in old]
     for path in sorted((before / "runs").rglob("*")):
         name = path.relative_to(before)
         if "artifacts" in name.parts:
@@ -285,34 +165,19 @@ def _arrays(a: np.ndarray, b: np.ndarray | None) -> str:
     return f"{np.mean(apart > 0):.2%} differ, by {apart.max():.3g} at most"
 
 
-def _new(name: object) -> object:
-    if not isinstance(name, str):
-        return name
-    for old, new in ENDINGS.items():
-        name = name.removesuffix(old) + new if name.endswith(old) else name
-    return RENAMED.get(name, name)
-
-
-def _label(folder: Path) -> str:
-    """The name of a training's folder without its hash; before there were hashes it was `<label>/seed<k>`."""
-    return re.sub(r"[-/]seed(\d+)(-[0-9a-f]{8})?$", r"/seed\1", folder.as_posix())
-
-
 def _trainings(study: Path) -> Iterator[tuple[str, tuple[pd.DataFrame, dict[str, float]]]]:
-    """Values of frames and scalars of each training by its name, in this layout and in the one before it."""
-    for result in sorted((*study.glob("*/trained.json"), *study.glob("*/seed*/result.json"))):
+    """Values of frames and scalars of each training, by the name of its folder without its hash."""
+    for result in sorted(study.glob("*/trained.json")):
         scalars = json.loads(result.read_text())["scalars"]
-        files = sorted((*result.parent.glob("scores/*.parquet"), *result.parent.glob("per_image.parquet")))
+        files = sorted(result.parent.glob("scores/*.parquet"))
         for file in files:
             about = (pq.read_schema(file).metadata or {}).get(b"ablate", b"{}")
             scalars |= json.loads(about).get("scalars", {})
-        table = pd.concat([pd.read_parquet(file) for file in files]).drop(columns=["variant", "seed"], errors="ignore")
-        table = table.sort_values(["metric", "source", "split", "frame"]).reset_index(drop=True)
-        yield _label(result.parent.relative_to(study)), (table, scalars)
+        table = pd.concat(map(pd.read_parquet, files)).sort_values(["metric", "source", "split", "frame"])
+        yield result.parent.name.rpartition("-")[0], (table.reset_index(drop=True), scalars)
 
 
 def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
-    a = a.rename(columns=_new).map(_new)
     gone, new = set(a) - set(b), set(b) - set(a)
     if gone or len(a) != len(b):
         return f"columns gone {sorted(gone)}, new {sorted(new)}; {len(a)} rows, then {len(b)}"
@@ -335,8 +200,8 @@ def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
 
 
 def _scalars(old: dict[str, float], new: dict[str, float]) -> str:
-    old = {_new(k): v for k, v in old.items() if not TIMES.search(k)}
-    apart = [str(k) for k, v in old.items() if k not in new or new[k] != v]
+    old = {k: v for k, v in old.items() if not TIMES.search(k)}
+    apart = [k for k, v in old.items() if k not in new or new[k] != v]
     return f"differs: {', '.join(apart)}" if apart else "equal"
 
 

@@ -15,9 +15,8 @@ import pytest
 import ablate
 from ablate.__main__ import main
 from ablate.command.launch import Launch
-from ablate.settings.study import Task, TrackingSettings
+from ablate.settings.study import TrackingSettings
 from ablate.study.job import Job
-from ablate.tasks import run_task
 from ablate.tasks.entry import execute
 
 
@@ -95,7 +94,7 @@ def test_want_of_memory_is_one_line_and_what_goes_on_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, task: str
 ) -> None:
     monkeypatch.setattr("ablate.tasks.run_task.study", lambda *_: np.empty(2**50))
-    monkeypatch.setitem(run_task._LOOKING, Task.describe, lambda *_: np.empty(2**50))
+    monkeypatch.setattr("ablate.tasks.run_task.describe", lambda *_: np.empty(2**50))
     monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}", f"task={task}"])
     with pytest.raises(SystemExit, match=r"^ablate: out of memory: Unable to allocate") as end:
         main()

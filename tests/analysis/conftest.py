@@ -61,6 +61,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("boxplot", "seed", "forest", "qualitative", "chi2_maps", "runtime", "convergence"):
-        monkeypatch.setattr(f"ablate.analysis.figures.{module}_figure.save_figure", keep)
+    drawers = [f"{name}_figure" for name in ("boxplot", "forest", "qualitative", "chi2_maps")]
+    for module in (*drawers, "point_names"):
+        monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn

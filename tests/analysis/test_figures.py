@@ -22,7 +22,6 @@ def test_figures_are_written_whole_in_both_formats(study, pictures, tmp_path):
     pairs = analysis.paired_table(study, resamples=50)
     for paths in (
         analysis.boxplot_panels(study, ["psnr"], tmp_path / "boxplot_psnr", paired=pairs),
-        analysis.seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"),
         analysis.forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts"),
         analysis.qualitative_figure([pictures, bare], tmp_path / "deep" / "qualitative_0"),
         analysis.chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"),
@@ -59,21 +58,6 @@ def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_ban
     ]
     assert "better →" in left.get_xlabel()
     assert "← better" in right.get_xlabel()
-
-
-def test_every_training_is_a_ring(study, figures, tmp_path):
-    rows = [("sa2h", 0, "fd_speckle", 3.0), ("nsa2h", 0, "fd_speckle", 1.0)]
-    scalars = pd.DataFrame(rows, columns=["variant", "seed", "metric", "value"])
-    assert analysis.seed_plot(study, scalars, ["psnr", "pchi2", "fd_speckle", "absent"], tmp_path / "seeds")
-    panels = figures["seeds"].axes
-    assert len(panels) == 3
-    rings = [line for line in panels[0].lines if line.get_marker() == "o"]
-    means = study[study["metric"] == "psnr"].groupby(["variant", "seed"])["value"].mean()
-    np.testing.assert_allclose(np.sort(rings[0].get_xdata()), np.sort(means["sa2h"]))
-    entries = legend_of(figures["seeds"])
-    assert "range of sa2h" in entries
-    assert [entry for entry in entries if "re-sim" in entry] == ["re-simulation (dashed: floor, dotted: level)"]
-    assert analysis.seed_plot(study[study["variant"] == RESIMULATION], None, ["psnr"], tmp_path / "none") == []
 
 
 NOTHING = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])  # of runs, or of interactions
@@ -178,7 +162,7 @@ def test_labels_are_short_on_figures(label, shown):
 
 
 def test_captions_tell_a_floor_from_a_level():
-    for figure in ("boxplots", "seeds", "error_vs_runtime"):
+    for figure in ("boxplots", "error_vs_runtime"):
         text = analysis.caption(figure, ["psnr", "pchi2"])
         assert "floor for pχ²" in text
         assert "level of a perfect stochastic renderer for PSNR" in text
@@ -202,7 +186,6 @@ def test_all_figures_for_which_there_are_numbers_or_pictures_are_drawn(study, pi
         ("boxplots", "figures"),
         ("boxplot_psnr", "folded"),
         ("boxplot_pchi2", "folded"),
-        ("seeds", "figures"),
         ("pchi2_maps_0", "figures"),
         ("pchi2_maps_1", "folded"),
         ("error_vs_runtime", "figures"),
@@ -211,7 +194,7 @@ def test_all_figures_for_which_there_are_numbers_or_pictures_are_drawn(study, pi
     assert all(captions.values())
     assert "(frame 9)" in captions["pchi2_maps_1"]
     alone = analysis.StudyResults(per_image=study[study["variant"] == "sa2h"])
-    assert drawn_of(alone, tmp_path) == [("seeds", "figures")]
+    assert drawn_of(alone, tmp_path) == []
 
 
 NEW_FIGURE = """
@@ -222,7 +205,7 @@ def draw(results, folder):
     path.write_bytes(str(len(results.per_image)).encode())
     yield Drawing([path], metrics=["psnr"])
 
-OWN = StudyFigure(name="seeds", section=Section.verdicts, draw=draw, place=0)
+OWN = StudyFigure(name="boxplots", section=Section.verdicts, draw=draw, place=0)
 """
 
 
@@ -234,7 +217,7 @@ def test_a_new_figure_is_found_by_its_module(study, tmp_path, monkeypatch):
     del sys.modules["ablate.analysis.figures.own_figure"]
     assert (drawn[0].path.name, str(drawn[0].section)) == ("own.png", "verdicts")
     assert drawn[0].path.read_bytes() == str(len(study)).encode()
-    assert drawn[0].caption.startswith("Scores of all trainings.")
+    assert drawn[0].caption.startswith("Paired differences")
 
 
 def test_a_map_without_a_patch_has_no_number(pictures, figures, tmp_path):
@@ -245,7 +228,7 @@ def test_a_map_without_a_patch_has_no_number(pictures, figures, tmp_path):
 
 
 def test_captions_are_silent_about_what_pairs_lack():
-    for figure in ("boxplots", "seeds", "qualitative", "pchi2_maps", "error_vs_runtime"):
+    for figure in ("boxplots", "qualitative", "pchi2_maps", "error_vs_runtime"):
         more = {"frame": "frame 3"} if figure == "pchi2_maps" else {}
         assert "re-simulation" in analysis.caption(figure, ["psnr"], **more).lower()
         assert "re-simulation" not in analysis.caption(figure, ["psnr"], resimulated=False, **more).lower()

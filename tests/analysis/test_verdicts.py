@@ -151,63 +151,56 @@ def with_and_without(other: str) -> Design:
     return design
 
 
-@pytest.mark.parametrize(("other", "judged"), [(3, False), (5, True), (6, True)])
-def test_depths_that_differ_by_less_than_declared_are_not_judged(other: int, judged: bool) -> None:
-    """Four levels are declared, of any two depths: frames with fewer rows have networks with fewer levels."""
-    made = {"model.family": "local", "model.depth": 2}
-    design = find_design({"sa2h": made, "sa2h.depth": made | {"model.depth": other}}, ("model.depth",))
-    assert design is not None
-    rows = [(v, s, "", 9.0 + s + 5 * (v == "sa2h.depth")) for v in design.cells.index for s in range(3)]
-    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["depth"])
-    row = verdict_table(runs.join(design.cells, on="variant"), design).set_index("component").loc["depth"]
-    assert pd.notna(row["effect"]) == judged
-    assert judged or row["why"] == f"the runs compare 2 with {other}"
+def judged_by(component: Component, here: object, other: object) -> pd.Series:
+    """The verdict on a component of which three seeds of two variants have these levels."""
+    key = component.key
+    pair = find_design({"sa2h": {key: here}, "sa2h.other": {key: other}}, (key,))
+    assert pair is not None
+    return analysis.verdict_table(seeds_of(pair, str(component.metric)), pair, [component]).iloc[0]
 
 
-@pytest.mark.parametrize(("here", "other", "judged"), [(1e-3, 1e-4, True), (1e-3, 2e-3, False), (5e-4, 1e-4, False)])
-def test_a_number_is_judged_on_its_declared_levels_alone(here: float, other: float, judged: bool) -> None:
-    key = "training.learning_rate"
-    rate = Component("rate", key, 1e-3, 1e-4, metric="mae_smooth", band=0.5)
-    design = find_design({"sa2h": {key: here}, "sa2h.rate": {key: other}}, (key,))
-    assert design is not None
-    rows = [(v, s, "", 9.0 + s + 5 * (v == "sa2h.rate")) for v in design.cells.index for s in range(3)]
-    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="mae_smooth")
-    row = (
-        analysis.verdict_table(runs.join(design.cells, on="variant"), design, [rate]).set_index("component").loc["rate"]
-    )
+def seeds_of(pair: Design, metric: str, seeds: int = 3) -> pd.DataFrame:
+    """Runs of two variants, of which the second is worse by 5."""
+    rows = [(v, s, "", 9.0 + s + 5 * (v != "sa2h")) for v in pair.cells.index for s in range(seeds)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=metric)
+    return runs.join(pair.cells, on="variant")
+
+
+RATE = Component("rate", "training.learning_rate", 1e-3, 1e-4, metric="mae_smooth", band=0.5)
+
+
+@pytest.mark.parametrize(
+    ("component", "here", "other", "judged"),
+    [
+        # Four levels are declared, of any two depths: frames with fewer rows have networks with fewer levels.
+        *((COMPONENTS[NAMES.index("depth")], 2, other, judged) for other, judged in ((3, False), (5, True), (6, True))),
+        (RATE, 1e-3, 1e-4, True),
+        (RATE, 1e-3, 2e-3, False),
+        (RATE, 5e-4, 1e-4, False),
+        # A level that no run has judges nothing, and YAML reads 1e-3 as text: the other level would be taken for it.
+        *((replace(RATE, on=on, off=None), 1e-3, 1e-4, True) for on in (1e-3, 1e-4)),
+        *((replace(RATE, on=on, off=None), 1e-3, 1e-4, False) for on in (2e-3, "1e-3")),
+    ],
+)
+def test_a_component_is_judged_on_its_declared_levels_alone(
+    component: Component, here: float, other: float, judged: bool
+) -> None:
+    row = judged_by(component, here, other)
     assert pd.notna(row["effect"]) == judged
     assert judged or row["why"] == f"the runs compare {here} with {other}"
 
 
-@pytest.mark.parametrize(("on", "judged"), [(1e-3, True), (1e-4, True), (2e-3, False), ("1e-3", False)])
-def test_a_level_that_no_run_has_judges_nothing(on: object, judged: bool) -> None:
-    """YAML reads 1e-3 as text; the other level would be taken for the one with the component."""
-    key = "training.learning_rate"
-    design = find_design({"sa2h": {key: 1e-3}, "sa2h.rate": {key: 1e-4}}, (key,))
-    assert design is not None
-    rows = [(v, s, "", 9.0 + s + 5 * (v == "sa2h.rate")) for v in design.cells.index for s in range(3)]
-    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="mae_smooth")
-    rate = Component("rate", key, on, metric="mae_smooth", band=0.5)
-    row = analysis.verdict_table(runs.join(design.cells, on="variant"), design, [rate]).iloc[0]
-    assert pd.notna(row["effect"]) == judged
-    assert judged or row["why"] == "the runs compare 0.001 with 0.0001"
-
-
 def test_a_cost_judges_nothing_because_the_seeds_of_a_network_share_one_time() -> None:
     pair = with_and_without("none")
-    rows = [(v, s, "", 40.0 + 2 * (v == "sa2h-att")) for v in pair.cells.index for s in range(3)]
-    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="ms_per_frame")
     fast = replace(COMPONENTS[NAMES.index("att")], metric="ms_per_frame")
-    row = analysis.verdict_table(runs.join(pair.cells, on="variant"), pair, [fast]).iloc[0]
+    row = analysis.verdict_table(seeds_of(pair, "ms_per_frame"), pair, [fast]).iloc[0]
     assert (row["verdict"], row["why"]) == ("undecided", "it has no metric that judges it")
 
 
 def test_a_metric_that_this_command_does_not_know_is_named_as_such() -> None:
     pair = with_and_without("none")
-    rows = [(v, s, "", float(s)) for v in pair.cells.index for s in range(3)]
-    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="my_bias")
     own = replace(COMPONENTS[NAMES.index("att")], metric="my_bias")
-    row = analysis.verdict_table(runs.join(pair.cells, on="variant"), pair, [own]).iloc[0]
+    row = analysis.verdict_table(seeds_of(pair, "my_bias"), pair, [own]).iloc[0]
     assert row["why"] == "its metric is not known to this command: name it in metrics="
 
 

@@ -10,7 +10,7 @@ from ablate.command.composed import composed
 from ablate.tasks.entry import Comparison
 
 RATE = "training.learning_rate"
-SWEEPERS = "hydra_plugins.hydra_{0}_sweeper.{0}_sweeper.{1}Sweeper"
+OPTUNA = "hydra_plugins.hydra_optuna_sweeper.optuna_sweeper.OptunaSweeper"
 
 
 def search(folder: Path, target: str) -> DictConfig:
@@ -24,24 +24,16 @@ def search(folder: Path, target: str) -> DictConfig:
     return config
 
 
-# As hydra_optuna_sweeper 1.2 and hydra_nevergrad_sweeper 1.2 write them.
-FILES = {
-    (
-        "optuna",
-        "Optuna",
-    ): f"name: optuna\nbest_params:\n  {RATE}: 0.0015448048928672032\n  seed: 1\nbest_value: 23.61234\n",
-    ("nevergrad", "Nevergrad"): f"name: nevergrad\nbest_evaluated_params:\n  {RATE}: 0.0015448048928672032\n  seed: 1\n"
-    "best_evaluated_result: 23.61234\n",
-}
+# As hydra_optuna_sweeper 1.2 writes it.
+FOUND = f"name: optuna\nbest_params:\n  {RATE}: 0.0015448048928672032\n  seed: 1\nbest_value: 23.61234\n"
 
 
-@pytest.mark.parametrize("sweeper", FILES)
 def test_the_best_trial_is_printed(
-    sweeper: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    config = search(tmp_path, SWEEPERS.format(*sweeper))
-    (tmp_path / ".hydra/optimization_results.yaml").write_text(FILES[sweeper])
+    config = search(tmp_path, OPTUNA)
+    (tmp_path / ".hydra/optimization_results.yaml").write_text(FOUND)
     Comparison().on_multirun_end(config)
     words = ["preset=tiny", f"runs_dir={tmp_path}", "study_name=rate", f"{RATE}=0.0015448048928672032", "seed=1"]
     trial = job_of(words, [RATE, "seed"])
@@ -55,14 +47,14 @@ def test_the_best_trial_is_printed(
 def test_nothing_is_said_of_a_search_that_was_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A file of an earlier search lies there."""
     config = search(tmp_path, "hydra_plugins.ablate_plugins.CellSweeper")
-    (tmp_path / ".hydra/optimization_results.yaml").write_text(FILES["optuna", "Optuna"])
+    (tmp_path / ".hydra/optimization_results.yaml").write_text(FOUND)
     Comparison().on_multirun_end(config)
     assert not capsys.readouterr().out
 
 
 @pytest.mark.parametrize("text", ["name: optuna\nsolutions: []\n", "- odd\n", "a: ["])
 def test_a_file_of_another_form_is_named(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = search(tmp_path, SWEEPERS.format("optuna", "Optuna"))
+    config = search(tmp_path, OPTUNA)
     file = tmp_path / ".hydra/optimization_results.yaml"
     file.write_text(text)
     Comparison().on_multirun_end(config)

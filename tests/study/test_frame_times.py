@@ -18,13 +18,13 @@ from ablate.study.reading import scored_frames
 from ablate.study.run import Run
 from ablate.study.scores import ScoreKey, by_metric, write_score
 from ablate.study.training import Training, trainings_in
-from support.finished_runs import PARAMETERS, PIXELS, WHOLE, scores_of, timed
+from support.finished_runs import PARAMETERS, PIXELS, scores_of, timed, write_training
 
 if TYPE_CHECKING:
     from support.studies import TinyStudy
 
 
-def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]:
+def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, Any]:
     training = {"precision": "fp32", "seed": seed, "steps": 9 + seed}
     return {
         "model": {"width": width, "family": "local"},
@@ -38,16 +38,13 @@ def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]
 def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: bool = True, **model: str) -> None:
     """A finished training whose own file has a time that nobody should believe."""
     content = semantic(width, seed)
-    content["model"] |= model  # type: ignore[operator]
-    folder = study / f"{label}-seed{seed}-{digest(content)[:8]}"
-    folder.mkdir(parents=True)
-    about = {"label": label, "seed": seed, "hash": digest(content), "changed": {}, "identity": content}
-    write_json(folder / "training.json", {**about, "settings": {"seed": seed}, "data": "fetal-0"})
-    Training(folder).write_result({**WHOLE, "scalars": {"ms_per_frame": 666.0, **PARAMETERS}})
+    content["model"] |= model
+    scalars = {"ms_per_frame": 666.0, **PARAMETERS}
+    training = write_training(study, label, content, scalars=scalars)
     key = ScoreKey("mae", "v2", 3, PIXELS)
-    write_score(folder / "scores", key, by_metric(scores_of({"mae": 9.0}, frames=2), [key])[key])
+    write_score(training.scores, key, by_metric(scores_of({"mae": 9.0}, frames=2), [key])[key])
     if checkpoint:
-        (folder / "last.ckpt").write_text("weights")
+        training.checkpoint.write_text("weights")
 
 
 def runs_of(study: Path) -> list[Run]:

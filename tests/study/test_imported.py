@@ -99,15 +99,17 @@ def bare(folder: Path, tmp_path: Path) -> Path:
     return made
 
 
-@pytest.mark.parametrize("named", [True, False])
-def test_frames_of_no_named_site_are_said(folder: Path, runs: Path, tmp_path: Path, named: bool) -> None:
+@pytest.mark.parametrize("numbered", [None, "{:04}.png", "{:04}_us.png"])  # a site is what stands before the last _
+def test_what_pairs_leave_out_is_said(folder: Path, runs: Path, tmp_path: Path, numbered: str | None) -> None:
     own = bare(folder, tmp_path)
-    for k, path in enumerate(() if named else sorted((own / "segmentation").glob("*.png"))):
+    for k, path in enumerate(sorted((own / "segmentation").glob("*.png")) if numbered else ()):
         for name in ("segmentation", "image"):
-            (own / name / path.name).rename(own / name / f"{k:04}.png")
-    where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={runs}"]
+            (own / name / path.name).rename(own / name / str(numbered).format(k))
+    where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={runs}", "dataset.frames=3"]
     assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
-    assert any("sites: none are named" in line for line in data_of(runs).about["left_out"]) is not named
+    left_out = data_of(runs).about["left_out"]
+    assert any("sites: none are named" in line for line in left_out) is (numbered is not None)
+    assert any("dataset.frames: all 12 pairs" in line for line in left_out), "a setting that decides nothing is said"
 
 
 @pytest.mark.parametrize("patients", [4, 12])
@@ -128,18 +130,6 @@ def test_pictures_that_are_in_two_parts_are_said(folder: Path, runs: Path, tmp_p
     training = {pairs.stored("target", int(i)).tobytes() for i in pairs.frames(Part.train)}
     twice = sum(pairs.stored("target", int(i)).tobytes() in training for i in pairs.frames(Part.test))
     assert not said or f"{twice} of {len(pairs.frames(Part.test))} test frames" in said[0]
-
-
-def test_settings_that_decide_nothing_about_pairs_are_said(folder: Path, runs: Path, tmp_path: Path) -> None:
-    own = bare(folder, tmp_path)
-    for name in ("segmentation", "image"):  # sites are what stands before the last _
-        for k, path in enumerate(sorted((own / name).glob("*.png"))):
-            path.rename(own / name / f"{k:04}_us.png")
-    where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={runs}", "dataset.frames=3"]
-    assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
-    left_out = data_of(runs).about["left_out"]
-    assert any("sites: none are named" in line for line in left_out)
-    assert any("dataset.frames: all 12 pairs" in line for line in left_out)
 
 
 def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenuation(

@@ -1,9 +1,7 @@
 """A folder of runs from a stranger: comparing it writes nowhere else, and runs no code of his."""
 
 import shutil
-import sys
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -21,19 +19,8 @@ from ablate.study.run import COMPARISON, LIST, Run, listed_runs, read_list, writ
 from ablate.study.training import ABOUT, Training
 from ablate.training import load_generator
 from support.finished_runs import finish
+from support.strangers import RunsCommand, lay_trap
 from support.studies import run
-
-CLASS = "module_of_a_stranger.Network"
-
-
-class Command:
-    """An object that makes a file where it is unpickled."""
-
-    def __init__(self, made: Path) -> None:
-        self.made = made
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.made,)
 
 
 @pytest.fixture
@@ -162,7 +149,7 @@ def test_pairs_are_those_of_the_folder(runs: Path, data: str) -> None:
 def test_pictures_are_not_unpickled(runs: Path, tmp_path: Path) -> None:
     training = read_list(runs / "tiny-fetal").runs[0].training
     made = tmp_path / "it_ran"
-    np.savez(training.pictures_file, frames=[0], images=np.array([Command(made)], object))
+    np.savez(training.pictures_file, frames=[0], images=np.array([RunsCommand(made)], object))
     assert training.pictures == {}
     compare(runs)
     assert not made.exists()
@@ -171,22 +158,11 @@ def test_pictures_are_not_unpickled(runs: Path, tmp_path: Path) -> None:
     assert made.exists(), "or nothing was tested"
 
 
-@pytest.fixture
-def imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A file that is there when the module of the stranger was imported."""
-    made = tmp_path / "it_ran"
-    code = f"import pathlib\nfrom torch import nn\npathlib.Path({str(made)!r}).touch()\nclass Network(nn.Module): ..."
-    (tmp_path / "module_of_a_stranger.py").write_text(code)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "module_of_a_stranger", raising=False)
-    return made
-
-
-def with_class(one: Run, parts: list[str]) -> None:
+def with_class(one: Run, parts: list[str], network: str) -> None:
     """Let some of the files of a training name the class of the stranger, and its pairs be there to be timed on."""
     training = one.training
     about = read_json(training.folder / ABOUT)
-    spec = plain(jobs_of(["preset=tiny", "variant=custom", f"model.target={CLASS}"])[0].settings.model)
+    spec = plain(jobs_of(["preset=tiny", "variant=custom", f"model.target={network}"])[0].settings.model)
     for part, model in (("identity", about["identity"]["model"]), ("settings", about["settings"]["model"])):
         if part in parts:
             model |= spec
@@ -208,16 +184,20 @@ def with_class(one: Run, parts: list[str]) -> None:
 @pytest.mark.parametrize(
     "parts", [["identity", "settings", "checkpoint"], ["identity", "settings"], ["settings"], ["checkpoint"]]
 )
-def test_a_network_that_a_folder_names_is_not_imported(runs: Path, imported: Path, parts: list[str]) -> None:
+def test_a_network_that_a_folder_names_is_not_imported(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parts: list[str]
+) -> None:
+    trap = lay_trap(tmp_path, monkeypatch)
     one = read_list(runs / "tiny-fetal").runs[1]
     one.training.data_set.folder.mkdir(parents=True)
-    with_class(one, parts)
+    with_class(one, parts, trap.network)
+    trap.set_again()
     found = read_list(runs / "tiny-fetal").runs
     assert len(found) == 2, "it is a whole training"
     compare(runs)
-    assert not imported.exists()
+    assert not trap.has_sprung
     assert (runs / "tiny-fetal" / COMPARISON / "table.csv").exists()
     if "checkpoint" in parts:
         with pytest.raises(ValueError, match="code of"):
-            load_generator(found[1].training.checkpoint, custom=CLASS)
-        assert imported.exists(), "or nothing was tested"
+            load_generator(found[1].training.checkpoint, custom=trap.network)
+        assert trap.has_sprung, "or nothing was tested"

@@ -1,15 +1,17 @@
 """Finished trainings without a training: what one leaves on disk, with values of a test's choice."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from ablate.evaluation import Scores
+from ablate.storage import digest, write_json
 from ablate.study.job import Job, claim
 from ablate.study.run import Run
 from ablate.study.scores import by_metric, wanted_scores, write_score
-from ablate.study.training import Training
+from ablate.study.training import ABOUT, Training
 
 PARAMETERS = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
 PIXELS = 16 * "0"
@@ -32,6 +34,17 @@ def scores_of(values: Mapping[str, float], frames: int = 1, resimulated: bool = 
         for frame in range(frames)
     ]
     return Scores(pd.DataFrame(rows), {f"test/{metric}": float(value) for metric, value in values.items()})
+
+
+def write_training(study: Path, label: str, identity: dict[str, Any], data: str = "fetal-0", **result: Any) -> Training:
+    """A finished training that is what `identity` says, at its address in a study, and without scores."""
+    about = {"label": label, "seed": identity["seed"], "changed": {}, "identity": identity, "hash": digest(identity)}
+    settings = {"model": identity["model"], "seed": identity["seed"]}
+    folder = study / f"{label}-seed{identity['seed']}-{digest(identity)[:8]}"
+    folder.mkdir(parents=True)
+    write_json(folder / ABOUT, {**about, "settings": settings, "data": data})
+    Training(folder).write_result({**WHOLE, **result})
+    return Training(folder)
 
 
 def finish(job: Job, values: Mapping[str, float] | None = None, **result: Any) -> Run:

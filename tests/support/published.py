@@ -21,8 +21,8 @@ from ablate.study.job import Job, claim
 from ablate.study.log import LocalLog, Status
 from ablate.study.scores import Score, write_score
 from ablate.study.training import Training
+from support.finished_runs import PARAMETERS, WHOLE
 
-PIXELS = "0123456789abcdef"
 _OF_THE_MOMENT = ("mlflow.parentRunId", "mlflow.note.content", "mlflow.user", "mlflow.ablate.published")
 
 
@@ -62,14 +62,7 @@ def train(job: Job, steps: range, ended: Status | None, anew: bool = False) -> T
 def finish(job: Job, level: float = 20.0, steps: range = range(4)) -> Training:
     """Train a job to the end and score it; every frame of a metric has the value `level`."""
     training = train(job, steps, None)
-    result = {
-        "pixels": PIXELS,
-        "scalars": {"parameters_generator": 2.0, "parameters_discriminator": 1.0, "train/seconds": 3.0},
-        "notes": [],
-        "started": "2026-01-01T00:00:00+00:00",
-        "ended": "2026-01-01T00:00:01+00:00",
-    }
-    training.write_result(result)
+    training.write_result({**WHOLE, "scalars": {**PARAMETERS, "train/seconds": 3.0}})
     score(job, level)
     LocalLog(training.folder).status(Status.finished)
     return Training(training.folder)
@@ -126,7 +119,6 @@ def content_of(runs: Path) -> dict[str, Any]:
             "points": sorted((point.key, point.step, point.value) for point in points),
             "tags": {key: value for key, value in run.data.tags.items() if key not in _OF_THE_MOMENT},
             "parent": ids.get(run.data.tags.get("mlflow.parentRunId", ""), "none"),
-            "data": [given.dataset.digest for given in run.inputs.dataset_inputs],
             "files": files_of(runs, run),
         }
     return content

@@ -48,14 +48,6 @@ def test_a_longer_training_takes_longer(jobs: list[Job], tmp_path: Path) -> None
     assert progress(longer)["seconds"].tolist() == [200.0]
 
 
-def test_runs_of_an_earlier_layout_are_named(jobs: list[Job], capsys: pytest.CaptureFixture[str]) -> None:
-    earlier = jobs[0].settings.study_dir / "sa2h" / "seed0" / "spec.json"
-    earlier.parent.mkdir(parents=True)
-    earlier.write_text("{}")
-    show_progress(jobs)
-    assert "has 1 run of an earlier layout" in capsys.readouterr().out
-
-
 def test_a_damaged_checkpoint_is_named_and_stops_nothing(jobs: list[Job], capsys: pytest.CaptureFixture[str]) -> None:
     claim(jobs[0])
     (jobs[0].folder / "last.ckpt").write_bytes(b"nothing")

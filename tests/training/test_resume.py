@@ -3,7 +3,6 @@
 import errno
 import shutil
 import signal
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -25,6 +24,7 @@ from ablate.training import (
     read_checkpoint,
     train,
 )
+from support.strangers import CUSTOM, RunsCommand, lay_trap
 from support.tiny_training import SETTINGS, SPEC, loader
 
 
@@ -304,58 +304,31 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path, content: bytes) -> None:
         train(SPEC, SETTINGS, loader, tmp_path)
 
 
-class _Hostile:
-    """Unpickling it would create a file."""
-
-    def __init__(self, trace: Path) -> None:
-        self.trace = trace
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return Path.touch, (self.trace,)
-
-
 def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path: Path) -> None:
     trace = tmp_path / "ran"
-    torch.save({"steps_done": 1, "state_dict": _Hostile(trace)}, tmp_path / LAST)
+    torch.save({"steps_done": 1, "state_dict": RunsCommand(trace)}, tmp_path / LAST)
     for attempt in (lambda: train(SPEC, SETTINGS, loader, tmp_path), lambda: load_generator(tmp_path / LAST)):
         with pytest.raises(ValueError, match=r"last\.ckpt: not a readable checkpoint"):
             attempt()
     assert not trace.exists()
 
 
-TOUCHES = """
-from pathlib import Path
-from torch import nn
-
-Path(__file__).with_name("ran").touch()
-
-class Net(nn.Conv2d):
-    def __init__(self, channels):
-        super().__init__(channels, 1, 1)
-"""
-
-
 def test_a_class_that_only_the_checkpoint_names_is_not_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "touches.py").write_text(TOUCHES)
-    monkeypatch.syspath_prepend(tmp_path)
-    trace = tmp_path / "ran"
-    plain: dict[str, Any] = {"concat": "input", "upsampling": "transposed", "noise": "none"}
-    spec = GeneratorSpec(family="custom", target="touches.Net", depth=2, **plain)  # type: ignore[arg-type]
+    trap = lay_trap(tmp_path, monkeypatch)
+    spec = GeneratorSpec(**CUSTOM, target=trap.network)
     trained = train(spec, replace(SETTINGS, steps=1), loader, tmp_path / "run")
-    trace.unlink()
-    monkeypatch.delitem(sys.modules, "touches")
+    trap.set_again()
     for named in (None, "another.Net"):
-        with pytest.raises(
-            ValueError, match=r"last\.ckpt: names code, .*; if you trust it, add custom='touches\.Net'"
-        ) as caught:
+        advice = rf"last\.ckpt: names code, .*; if you trust it, add custom='{trap.network}'"
+        with pytest.raises(ValueError, match=advice) as caught:
             load_generator(trained.checkpoint, custom=named)
         assert "\n" not in str(caught.value)
     read_checkpoint(trained.checkpoint)
-    assert not trace.exists()
-    loaded = load_generator(trained.checkpoint, custom="touches.Net")
-    assert trace.exists()
+    assert not trap.has_sprung
+    loaded = load_generator(trained.checkpoint, custom=trap.network)
+    assert trap.has_sprung
     assert_same(loaded.state_dict(), trained.generator.state_dict())
 
 
@@ -390,8 +363,7 @@ def test_what_a_network_of_ones_own_draws_follows_the_seed_and_the_step(
 ) -> None:
     (tmp_path / "with_dropout.py").write_text(DRAWS)
     monkeypatch.syspath_prepend(tmp_path)
-    simple = {"concat": "input", "upsampling": "transposed", "noise": "none"}
-    spec = GeneratorSpec(family="custom", target="with_dropout.Net", depth=2, **simple)
+    spec = GeneratorSpec(**CUSTOM, target="with_dropout.Net")
     before = torch.get_rng_state()
     train(spec, SETTINGS, loader, tmp_path / "whole")
     assert torch.equal(torch.get_rng_state(), before)

@@ -11,7 +11,6 @@ from .figures.qualitative_figure import frames_a_page as frames_a_page
 from .figures.qualitative_figure import qualitative_figure as qualitative_figure
 from .figures.registry import draw_figures as draw_figures
 from .figures.runtime_figure import error_vs_runtime as error_vs_runtime
-from .figures.seed_figure import seed_plot as seed_plot
 from .figures.study_figure import DrawnFigure as DrawnFigure
 from .figures.study_figure import Section as Section
 from .leaderboard import best_first as best_first

@@ -45,11 +45,6 @@ def write_report(
         What the simulator or the networks did not compute, and why.
     provenance : mapping, optional
         Commit, data, hardware and the like, shown as a list.
-
-    Returns
-    -------
-    Path
-        `path`.
     """
     variants, metrics, cells = cell_texts(results.table)
     unfolded = [metric for metric in metrics if metric in shown_in(Shown.report)]

@@ -11,8 +11,6 @@ from ablate.command.compose import job_of
 from ablate.command.composed import parsed
 
 _RESULTS = "optimization_results.yaml"  # Hydra's sweepers write it into hydra.sweep.dir
-# How Optuna's and Nevergrad's name the settings of the best trial, and its score.
-_BEST = (("best_params", "best_value"), ("best_evaluated_params", "best_evaluated_result"))
 
 
 def said_of_search(config: DictConfig) -> list[str]:
@@ -28,9 +26,8 @@ def said_of_search(config: DictConfig) -> list[str]:
         found = yaml.safe_load(results.read_text("utf-8"))
     except (OSError, yaml.YAMLError):
         found = None
-    for params, value in _BEST:
-        if isinstance(found, Mapping) and isinstance(best := found.get(params), Mapping) and value in found:
-            return _said(config, {str(key): of_key for key, of_key in best.items()}, found[value])
+    if isinstance(found, Mapping) and isinstance(best := found.get("best_params"), Mapping) and "best_value" in found:
+        return _said(config, {str(key): of_key for key, of_key in best.items()}, found["best_value"])
     return [f"Search  {results} has what {name} has found"] if results.exists() else []
 
 

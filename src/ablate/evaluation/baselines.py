@@ -93,6 +93,8 @@ def formula_images(
 ) -> Callable[..., np.ndarray]:
     """The frames as the formula renders them from the maps that a network of `spec` reads.
 
+    What is returned is called as that of `training.generated_images`.
+
     Parameters
     ----------
     tissues : tuple of Tissue
@@ -105,11 +107,6 @@ def formula_images(
         For each frame the number whose noise it has, in place of its own.
     space : Space
         Of the frames that are returned.
-
-    Returns
-    -------
-    callable
-        As that of `training.generated_images`.
     """
     from ablate.ultrasound.formula import Formula
 

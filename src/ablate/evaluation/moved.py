@@ -18,7 +18,7 @@ def motion_values(
     images_before: _Images,
     images_after: _Images,
 ) -> dict[int, dict[str, float]]:
-    """Values of the metrics with `of_motion`, by frame of the data set and name.
+    """Values of the metrics with `of_motion`, by frame of the data set and name, where it offers something to measure.
 
     Parameters
     ----------
@@ -30,11 +30,6 @@ def motion_values(
         Behind the labels 1, 2, ... of the segmentation.
     images_before, images_after : callable
         Render frames of the data set, and frames of `moved.pairs`: numbers (k,), draw -> (k, H, W) uint8.
-
-    Returns
-    -------
-    dict of int to dict of str to float
-        Without the metrics that a frame offers nothing for.
     """
     asked = [metric for metric in metrics if metric.of_motion is not None]
     if not asked:

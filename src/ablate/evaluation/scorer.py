@@ -123,11 +123,6 @@ class Scorer:
             What renders the frames of `moved`; without it the metrics of motion are left out.
         beam_images : ImageSource, optional
             What renders the frames in beam space, (k, rows, scanlines) uint8, where the renderer works there.
-
-        Returns
-        -------
-        Scores
-            With the columns and the names that scores of one part have.
         """
         frames = self.pairs.frames(part) if frames is None else frames
         missing = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)

@@ -116,7 +116,7 @@ def _frame_by_frame(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
 def not_computed(
     metrics: Collection[Metric], mask: np.ndarray, frames: int, inception: InceptionFeatures | None
 ) -> dict[str, str]:
-    """Reasons, the ends of sentences, why distances cannot be computed, by their names.
+    """Reasons, the ends of sentences, why some distances cannot be computed, by their names.
 
     Parameters
     ----------
@@ -128,11 +128,6 @@ def not_computed(
         How many there are.
     inception : InceptionFeatures or None
         None where no weights were given.
-
-    Returns
-    -------
-    dict of str to str
-        Of the metrics without a value alone.
     """
     reasons: dict[FeatureKind, str] = {}
     of_texture = " and ".join(metric.name for metric in METRICS.values() if metric.uses(FeatureKind.speckle))

@@ -72,11 +72,9 @@ class Shown(Flag):
     nowhere = 0
     headline = auto()  # the first page of the parent run, the paper's Fig. 4, error against run time
     table = auto()  # the paper's Table II
-    panels = auto()  # the figure of seeds
     screen = auto()
     report = auto()  # unfolded in the report
-    drawn = panels | screen
-    everywhere = headline | table | panels | screen | report
+    everywhere = headline | table | screen | report
 
 
 class FeatureKind(Enum):

@@ -93,7 +93,7 @@ MOTION = Metric(
     resimulation=Resimulation.level,
     group=Group.mechanism,
     decimals=2,
-    shown=Shown.drawn | Shown.report,
+    shown=Shown.screen | Shown.report,
     of_motion=motion,
     place=112,
 )

@@ -91,7 +91,7 @@ SHADOW_CONTRAST = Metric(
     resimulation=Resimulation.floor,
     group=Group.mechanism,
     decimals=1,
-    shown=Shown.drawn | Shown.report,
+    shown=Shown.screen | Shown.report,
     of_image=shadow_contrast,
     place=50,
 )
@@ -129,7 +129,7 @@ MAE_SMOOTH = Metric(
     resimulation=Resimulation.level,
     group=Group.mechanism,
     decimals=2,
-    shown=Shown.drawn,
+    shown=Shown.screen,
     of_image=mae_smooth,
     place=60,
 )
@@ -195,7 +195,7 @@ THIN_CONTRAST = Metric(
     resimulation=Resimulation.floor,
     group=Group.mechanism,
     decimals=1,
-    shown=Shown.drawn,
+    shown=Shown.screen,
     of_image=thin_contrast,
     place=70,
 )

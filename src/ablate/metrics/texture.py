@@ -130,7 +130,7 @@ NYQUIST_EXCESS = Metric(
     resimulation=Resimulation.floor,
     group=Group.mechanism,
     decimals=2,
-    shown=Shown.drawn,
+    shown=Shown.screen,
     of_image=nyquist_excess,
     pixels=Pixels.network,
     place=80,
@@ -176,7 +176,7 @@ CRPS = Metric(
     resimulation=Resimulation.floor,
     group=Group.mechanism,
     decimals=2,
-    shown=Shown.drawn,
+    shown=Shown.screen,
     of_draws=crps,
     place=100,
 )
@@ -187,7 +187,7 @@ NOISE_SD = Metric(
     resimulation=Resimulation.level,
     group=Group.mechanism,
     decimals=1,
-    shown=Shown.drawn,
+    shown=Shown.screen,
     of_draws=noise_sd,
     place=110,
 )

@@ -18,7 +18,6 @@ from filelock import FileLock
 from mlflow import MlflowClient
 from mlflow.entities import Experiment, Metric, Run
 from mlflow.exceptions import MlflowException
-from sqlalchemy.engine import URL, make_url
 
 from ablate.settings.study import StudySettings
 from ablate.storage import remove_partial, write_text, written_whole
@@ -123,24 +122,7 @@ def _quoted(value: str) -> str:
 
 def default_uri(runs: Path) -> str:
     """The SQLite file in a folder of runs."""
-    return _sqlite_uri(runs / "mlflow.db")
-
-
-def _sqlite_uri(path: Path) -> str:
-    """The address of an SQLite file; `%` and `?` of its folders are escaped where SQLAlchemy would read them as such.
-
-    The driver is named then, because MLflow makes the folders of `sqlite:///` itself, by their escaped names.
-    """
-    uri = f"sqlite:///{path}"
-    return uri if _database(uri) == path else URL.create("sqlite+pysqlite", database=str(path)).render_as_string()
-
-
-def _database(uri: str) -> Path | None:
-    """The SQLite file at an address; None for other stores, for one in memory, and where the address has options."""
-    url = make_url(uri) if uri.startswith("sqlite") else None
-    if url is None or url.host or url.query or url.database in (None, "", ":memory:"):
-        return None
-    return Path(str(url.database))
+    return f"sqlite:///{runs / 'mlflow.db'}"  # a folder with `?` or `%` is refused before
 
 
 def store_uri(settings: StudySettings) -> str:
@@ -168,7 +150,6 @@ def open_store(settings: StudySettings) -> Store:
         return Store(default_uri(runs), experiment_id, lock, artifacts=_artifacts(runs), owner={})
     with FileLock(lock, timeout=_LOCK_S):
         owner = _owner(runs)
-    _make_database(uri)
     experiment_id = _experiment(MlflowClient(uri), experiment)  # without the lock: a silent server is waited for here
     return Store(uri, experiment_id, lock, artifacts="", owner={"runs": owner})
 
@@ -241,23 +222,13 @@ def _replace(path: Path, why: str) -> None:
     _make(path)
 
 
-def _make_database(uri: str) -> None:
-    """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone."""
-    path = _database(uri)
-    if path is None or path.exists():
-        return
-    with FileLock(f"{path}.lock", timeout=_LOCK_S):  # another folder of runs may make the same file
-        if not path.exists():
-            _make(path)
-
-
 def _make(path: Path) -> None:
     """Make the file under another name, so that a kill or a full disk leaves none that cannot be opened."""
     remove_partial(path)
     for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
         Path(f"{path}{suffix}").unlink(missing_ok=True)
     with written_whole(path) as partial:
-        MlflowClient(_sqlite_uri(partial)).search_experiments()
+        MlflowClient(f"sqlite:///{partial}").search_experiments()
 
 
 def _is_whole(path: Path) -> bool:

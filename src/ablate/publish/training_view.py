@@ -1,25 +1,21 @@
 """MLflow's run of a training: parameters, curves, images, scores and artifacts, from its folder."""
 
-import json
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from filelock import FileLock
 from mlflow import MlflowClient
-from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, Run, RunTag
+from mlflow.entities import Metric, Param, Run, RunTag
 from PIL import Image
 
-from ablate.dataset.pairs import FORMATS
 from ablate.networks.spec import GeneratorSpec
 from ablate.publish.results_view import NOTE, publish_results
 from ablate.publish.store import Store, plain_files
 from ablate.setting import flat
 from ablate.settings.components import OF_OWN_NETWORK, components, components_of_networks, named_components
 from ablate.settings.conf import build
-from ablate.sources.data_set import DataSet
 from ablate.sources.source import source_of
 from ablate.storage import check_unpacked, digest
 from ablate.study.log import Log, LoggedImage, Status, read_log
@@ -28,7 +24,7 @@ from ablate.study.training import Training
 
 PARENT = "mlflow.parentRunId"
 JOB = "job"  # the kind of its run
-_VIEW = 2  # changes when runs that were published before are to be published again
+_VIEW = 3  # changes when runs that were published before are to be published again
 # Tags that MLflow's pages do not show, as their names begin with its own.
 PUBLISHED = "mlflow.ablate.published"  # the digest of what was on disk when all of it had been published
 _BEGAN = "mlflow.ablate.begun"  # when the training began
@@ -59,7 +55,6 @@ _SORTED_BY = (
     "training.l1_weight",
     "training.ema_decay",
 )
-_DRAWN = frozenset({"target", "resimulation"})  # the other maps of a data set are what networks read
 _BATCH = 500
 _LOCK_S = 30.0
 
@@ -128,15 +123,14 @@ def _goes_on_in(client: MlflowClient, run: Run, log: Log) -> bool:
 
 
 def _begin(store: Store, parent: str, training: Training, log: Log) -> Run:
-    """A new run with parameters, tags, provenance and data set."""
+    """A new run with parameters, tags and provenance."""
     settings, study = training.settings, training.folder.parent.name
     code = {key: value for key, value in training.made_with.items() if key in ABOUT_CODE}
     known_by = {"config_hash": training.hash, "study": study}
-    data_hash = digest(training.identity["data"])
     about = {
         "variant": training.label,
         "seed": str(training.seed),
-        "data_hash": data_hash,
+        "data_hash": digest(training.identity["data"]),
         PARENT: parent,
         NOTE: "Not ended: there are no scores yet.",
     }
@@ -149,8 +143,6 @@ def _begin(store: Store, parent: str, training: Training, log: Log) -> Run:
     has_scene = source_of(settings).has_scene
     parameters = {"variant": training.label, **named, **_sorted_by(training, has_scene)}
     client.log_batch(run_id, params=[Param(key, _word(value)) for key, value in parameters.items()])
-    with suppress(OSError, ValueError, KeyError):  # pairs that are missing or damaged
-        _publish_data(client, run_id, training.data_set, data_hash)
     for path in plain_files(training.provenance_files()):
         client.log_artifact(run_id, str(path), "provenance")
     client.set_tag(run_id, _BEGAN, str(log.began_ms))  # a run that was begun only in part is not gone on with
@@ -173,27 +165,6 @@ def _sorted_by(training: Training, has_scene: bool) -> dict[str, Any]:
         keys = {key for key in keys if not key.startswith("simulator.")}
     values = {key: settings[key] for key in sorted(keys) if settings.get(key) is not None}
     return {**values, "training.precision": training.identity["training"]["precision"]}
-
-
-def _publish_data(client: MlflowClient, run_id: str, data: DataSet, data_hash: str) -> None:
-    """The data set that the run is trained on, with the maps that networks read and those that they render."""
-    from mlflow.data.schema import TensorDatasetSchema  # its import takes a second
-    from mlflow.types import Schema, TensorSpec
-
-    def schema(maps: frozenset[str]) -> Schema:
-        return Schema([TensorSpec(np.dtype(FORMATS[name][0]), (-1, -1, -1), name) for name in sorted(maps)])
-
-    pairs = data.pairs
-    tensors = TensorDatasetSchema(schema(pairs.maps - _DRAWN), schema(pairs.maps & _DRAWN))
-    published = Dataset(
-        name=data.name,
-        digest=data_hash,
-        source_type="local",
-        source=json.dumps({"uri": str(data.folder)}),
-        schema=json.dumps(tensors.to_dict()),
-        profile=json.dumps({"num_rows": len(pairs)}),
-    )
-    client.log_inputs(run_id, [DatasetInput(published, [InputTag("mlflow.data.context", "training")])])
 
 
 def _publish_curves(client: MlflowClient, run: Run, log: Log) -> None:

@@ -21,7 +21,7 @@ from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, 
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
 from ablate.study.reading import provenance
-from ablate.study.run import COMPARISON, Run, RunList, earlier_layout, write_list
+from ablate.study.run import COMPARISON, Run, RunList, write_list
 from ablate.study.source_code import loaded_digest
 from ablate.study.training import refuse_link
 
@@ -63,7 +63,7 @@ def compare_study(
     refuse_link(asked.folder)
     if not asked.runs:
         told = [f"{asked.folder} holds no finished run to compare.", *comparable_runs(asked).notes]
-        raise ConfigurationError(" ".join([*told, *earlier_layout(asked.folder)]))
+        raise ConfigurationError(" ".join(told))
     # The list on disk is read and written by one process.
     with held(asked.folder / ".comparison.lock", "compares this study"):
         if not rebuild:
@@ -74,7 +74,7 @@ def compare_study(
 
 
 def _compare(asked: RunList, usable: ComparableRuns, title: str, rebuild: bool, failed: str) -> Compared:
-    notes = [*usable.notes, *earlier_layout(asked.folder), *filter(None, [failed]), *untimed(usable.all)]
+    notes = [*usable.notes, *filter(None, [failed]), *untimed(usable.all)]
     study = Study(asked, replace(usable, notes=tuple(notes)))
     made_from, marker = _made_from(study), asked.folder / COMPARISON / "made_from.json"
     for_readers = None if rebuild else _kept(marker, made_from)

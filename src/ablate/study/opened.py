@@ -13,7 +13,7 @@ from tqdm import tqdm
 from ablate.analysis import RESIMULATION, FramePictures, StudyResults
 from ablate.study.comparable import ComparableRuns, comparable_runs
 from ablate.study.reading import pictures, results_of, table_of_runs
-from ablate.study.run import RunList, earlier_layout, read_list
+from ablate.study.run import RunList, read_list
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
 ANSWER = ("runs/full_model", "docs/results/full_model")  # where `make answer` leaves its study, and where it is kept
@@ -52,18 +52,6 @@ class Study:
         return self.results.per_image
 
     @property
-    def scalars(self) -> pd.DataFrame:
-        """Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance."""
-        assert self.results.scalars is not None
-        return self.results.scalars
-
-    @property
-    def blocks(self) -> pd.DataFrame:
-        """The rows as in `per_image` of the runs `usable.blocks`."""
-        assert self.results.blocks is not None
-        return self.results.blocks
-
-    @property
     def table(self) -> pd.DataFrame:
         """Mean and spread of every metric of every variant; see `analysis.comparison_table`."""
         return self.results.table
@@ -72,11 +60,6 @@ class Study:
     def floor(self) -> pd.DataFrame:
         """The rows of `table` that are of the re-simulation, by metric."""
         return self.table[self.table["variant"] == RESIMULATION].set_index("metric").drop(columns="variant")
-
-    @property
-    def paired(self) -> pd.DataFrame:
-        """Every variant beside the reference, frame by frame; see `analysis.paired_table`."""
-        return self.results.paired
 
     @cached_property
     def runs(self) -> pd.DataFrame:
@@ -108,8 +91,7 @@ def open_study(path: str | Path) -> Study:
     listed = read_list(Path(path).resolve())
     usable = comparable_runs(listed)
     if not usable.runs:
-        told = [*usable.notes, *earlier_layout(listed.folder)]
-        raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *told]))
+        raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *usable.notes]))
     return Study(listed, usable)
 
 

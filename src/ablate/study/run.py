@@ -21,7 +21,6 @@ from ablate.study.training import Training, trainings_in
 
 _LOG = logging.getLogger(__name__)
 COMPARISON = "comparison"  # folder of a study beside its trainings
-_EARLIER = "*/seed*/spec.json"  # of the layout before this one
 LIST = "jobs.json"  # in it
 
 
@@ -178,10 +177,3 @@ def _listed_run(study_dir: Path, entry: Mapping[str, Any]) -> Run:
     if (study_dir / folder).is_symlink():
         raise ValueError(f"{folder} is a link")
     return Run(Training(study_dir / folder), label, dict(entry["changed"]), names)
-
-
-def earlier_layout(study_dir: Path) -> list[str]:
-    """A sentence where a folder has runs of the layout before this one, which are not read."""
-    count = len(list(study_dir.glob(_EARLIER)))
-    runs = "1 run" if count == 1 else f"{count} runs"
-    return [f"{study_dir} has {runs} of an earlier layout, which this version does not read."] if count else []

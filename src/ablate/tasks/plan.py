@@ -9,7 +9,6 @@ import pandas as pd
 
 from ablate.command.compose import without_repetitions
 from ablate.study.job import Job
-from ablate.study.run import earlier_layout
 from ablate.study.training import State, trainings_in
 from ablate.training import read_checkpoint
 
@@ -23,7 +22,7 @@ def show_progress(jobs: Sequence[Job]) -> int:
     print(shown.drop(columns="seconds").to_string(index=False))
     print(f"\n{_rest(table)}")
     for study in dict.fromkeys(job.settings.study_dir for job in jobs):
-        print(" ".join([f"runs: {study}", *earlier_layout(study)]))
+        print(f"runs: {study}")
     for data in dict.fromkeys(job.data for job in jobs):
         print(f"data: {data.folder} ({'there' if data.exists else 'to be simulated'})")
     return 0

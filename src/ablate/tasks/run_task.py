@@ -1,7 +1,8 @@
 """What each `task=` does with the jobs of a command line. A task imports the rooms that it needs when it starts."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from pkgutil import resolve_name
 
 from ablate.command.checks import check
 from ablate.command.describe import description
@@ -11,8 +12,20 @@ from ablate.settings.study import ConfigurationError, Task, refusing
 from ablate.sources.data_set import maps_needed
 from ablate.sources.source import source_of
 from ablate.study.job import Job
-from ablate.tasks.study import compare, simulate, study
+from ablate.tasks.study import simulate, study
 
+#: The functions of the tasks that start no jobs; their modules are imported when they are needed.
+_LOOKING = {
+    Task.describe: "ablate.tasks.run_task:describe",
+    Task.compare: "ablate.tasks.study:compare",
+    Task.plan: "ablate.tasks.plan:show_progress",
+    Task.preview: "ablate.tasks.render:preview",
+    Task.render: "ablate.tasks.render:render",
+    Task.view: "ablate.viewer.task:view",
+    Task.export: "ablate.tasks.export:export",
+    Task.precision: "ablate.numerics.precision.task:precision",
+    Task.stability: "ablate.numerics.stability.task:stability",
+}
 _OF_SEVERAL_DATA_SETS = (Task.describe, Task.compare, Task.plan)  # tasks that a sweep over data sets can do
 
 
@@ -32,7 +45,7 @@ def run_task(jobs: Sequence[Job], launch: Launch) -> int:
             raise
     if task not in _OF_SEVERAL_DATA_SETS and len({job.data.folder for job in jobs}) > 1:
         raise ConfigurationError(f"task={task}: a sweep over data sets; allowed is one data set")
-    return _LOOKING[task](jobs)
+    return int(resolve_name(_LOOKING[task])(jobs))
 
 
 def describe(jobs: Sequence[Job]) -> int:
@@ -56,59 +69,3 @@ def describe(jobs: Sequence[Job]) -> int:
     if "low" not in read:
         print("left out: low, the low-quality image; none of these variants reads it")
     return 0
-
-
-def _plan(jobs: Sequence[Job]) -> int:
-    from ablate.tasks.plan import show_progress
-
-    return show_progress(jobs)
-
-
-def _preview(jobs: Sequence[Job]) -> int:
-    from ablate.tasks.render import preview
-
-    return preview(jobs)
-
-
-def _render(jobs: Sequence[Job]) -> int:
-    from ablate.tasks.render import render
-
-    return render(jobs)
-
-
-def _view(jobs: Sequence[Job]) -> int:
-    from ablate.viewer.task import view
-
-    return view(jobs)
-
-
-def _export(jobs: Sequence[Job]) -> int:
-    from ablate.tasks.export import export
-
-    return export(jobs)
-
-
-def _precision(jobs: Sequence[Job]) -> int:
-    from ablate.numerics.precision.task import precision
-
-    return precision(jobs)
-
-
-def _stability(jobs: Sequence[Job]) -> int:
-    from ablate.numerics.stability.task import stability
-
-    return stability(jobs)
-
-
-#: The tasks that start no jobs.
-_LOOKING: Mapping[Task, Callable[[Sequence[Job]], int]] = {
-    Task.describe: describe,
-    Task.compare: compare,
-    Task.plan: _plan,
-    Task.preview: _preview,
-    Task.render: _render,
-    Task.view: _view,
-    Task.export: _export,
-    Task.precision: _precision,
-    Task.stability: _stability,
-}

@@ -16,7 +16,7 @@ from ablate.sources.source import source_of
 from ablate.study.comparable import kept_list, untold_differences
 from ablate.study.job import Job, refuse_lost_network, trainings_of
 from ablate.study.log import Status
-from ablate.study.run import RunList, earlier_layout, listed_runs, trained_runs
+from ablate.study.run import RunList, listed_runs, trained_runs
 from ablate.study.training import trainings_in
 
 
@@ -175,7 +175,7 @@ def _nothing_finished(settings: StudySettings, asked: RunList) -> str:
     trained = [training.name for training in trainings_in(settings.study_dir) if training.is_trained]
     if trained:
         words.append(f"It holds {', '.join(trained)}: name them, as -m variant=... seed=...")
-    return " ".join([*words, *earlier_layout(settings.study_dir)])
+    return " ".join(words)
 
 
 def _compare(asked: RunList, jobs: Sequence[Job], rebuild: bool = False, time_here: bool = True) -> None:

@@ -54,7 +54,7 @@ def train(
     labels: int = 1,
     title: str = "",
 ) -> TrainedGenerator:
-    """Train a generator, or finish its training.
+    """Train a generator, or finish its training; it is given in evaluation mode, on the device it was trained on.
 
     A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
     that was not stopped: to the bit on the same CPU with the same number of threads, and as far as the convolutions of
@@ -81,11 +81,6 @@ def train(
         Channels of the segmentation in a batch.
     title : str
         What the line of progress begins with.
-
-    Returns
-    -------
-    TrainedGenerator
-        In evaluation mode, on the device it was trained on.
 
     Raises
     ------

@@ -7,14 +7,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import (
+    PAGE_IN,
     axis_title,
-    draw_baselines,
+    baseline_line,
     house_style,
-    metric_panels,
+    new_figure,
     one_legend,
     save_figure,
     shown_name,
@@ -24,7 +27,8 @@ from ablate.analysis.scored import BASELINE_NAMES, REFERENCE, RESIMULATION
 from ablate.analysis.statistics.paired import aligned_differences
 from ablate.metrics import Shown, shown_in
 
-BOX_IN = 0.26  # height of a row with a box
+# Heights of a row with a box, of what is above and below a panel, and of the legend.
+BOX_IN, HEAD_IN, LEGEND_IN = 0.26, 0.55, 0.25
 BOX_STYLE: dict[str, Any] = {
     "orientation": "horizontal",
     "widths": 0.5,
@@ -47,7 +51,7 @@ def boxplot_panels(
     paired: pd.DataFrame | None = None,
     components: Sequence[Component] = (),
 ) -> list[Path]:
-    """Draw paired differences to the reference as box plots of these metrics side by side.
+    """Draw paired differences to the reference as box plots of these metrics side by side; no file without a pair.
 
     Boxes are quartiles, whiskers the 5th and 95th percentile over frames; the grey band and the line in it are the re-
     simulation's difference; the bar under a box is the interval of the median shift over sites.
@@ -66,11 +70,6 @@ def boxplot_panels(
         What `paired_table` gives, for the intervals.
     components : sequence of Component
         Changes of these are written in short.
-
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF; none without the reference or a second variant.
     """
     shown: dict[str, dict[str, np.ndarray]] = {}
     for metric in metrics:
@@ -82,7 +81,7 @@ def boxplot_panels(
     if not networks:
         return []
     with house_style():
-        figure, panels = metric_panels(list(shown), [shown_name(n, components) for n in networks], 3, BOX_IN)
+        figure, panels = _empty_panels(len(shown), [shown_name(name, components) for name in networks])
         for axes, (metric, differences) in zip(panels, shown.items(), strict=True):
             places = {name: len(networks) - k for k, name in enumerate(networks) if name in differences}
             _draw_boxes(axes, metric, differences, places)
@@ -91,6 +90,24 @@ def boxplot_panels(
             axes.set_xlabel(axis_title(metric, f"Δ {{}} to {reference}"))
         one_legend(figure, panels, 3)
         return save_figure(figure, stem)
+
+
+def _empty_panels(count: int, rows: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    """Axes, three side by side; row k of the names lies at the ordinate `len(rows) - k`."""
+    across = min(3, count)
+    down = -(-count // across)
+    figure = new_figure(PAGE_IN, LEGEND_IN + down * (HEAD_IN + BOX_IN * max(len(rows), 2)))
+    grid = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
+    places = range(len(rows), 0, -1)
+    for axes in grid[:count]:
+        axes.set_yticks(places, rows)
+        axes.set_ylim(0.4, len(rows) + 0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.tick_params(axis="y", length=0)
+        axes.hlines(places, 0, 1, colors="#EEEEEE", lw=0.5, zorder=0, transform=axes.get_yaxis_transform())
+    for axes in grid[count:]:
+        axes.set_axis_off()
+    return figure, grid[:count]
 
 
 def _finite_differences(per_image: pd.DataFrame, metric: str, reference: str) -> dict[str, np.ndarray]:
@@ -107,8 +124,9 @@ def _draw_boxes(axes: Axes, metric: str, differences: Mapping[str, np.ndarray], 
     if RESIMULATION in differences:
         lower, upper = np.quantile(differences[RESIMULATION], [0.25, 0.75])
         axes.axvspan(lower, upper, color="#DDDDDD", zorder=0, label=f"{RESIMULATION}, quartiles")
-    medians = {name: float(np.median(differences[name])) for name in BASELINE_NAMES if name in differences}
-    draw_baselines(axes, metric, medians, ", median")
+    for name in (name for name in BASELINE_NAMES if name in differences):
+        line = baseline_line(metric, name, ", median")
+        axes.axvline(float(np.median(differences[name])), lw=1.0, zorder=1, **line)
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     axes.boxplot([differences[name] for name in places], positions=list(places.values()), **BOX_STYLE)
 

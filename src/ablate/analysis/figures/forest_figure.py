@@ -45,7 +45,8 @@ def forest_figure(
 ) -> list[Path]:
     """Draw the verdicts: a row a component, and below them how components change each other's effects.
 
-    The unit of an improvement is the band of its component. Components without an effect are left out.
+    The unit of an improvement is the band of its component. Components without an effect are left out, and without one
+    with an effect no file is made.
 
     Parameters
     ----------
@@ -59,11 +60,6 @@ def forest_figure(
         Those of the tables, for their labels.
     stem : Path
         Of the files, without suffix.
-
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF; none without an effect.
     """
     shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
     if shown.empty:

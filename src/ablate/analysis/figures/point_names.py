@@ -1,16 +1,56 @@
-"""The name of every point beside it, where there is room."""
+"""A panel a metric of points against time, with the name of every point beside it, where there is room."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 
+from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
+
+_PANEL_IN = 2.9
 _POINTS_HIGH = 6.0  # of the letters
 _WIDTH = 0.58  # of a letter, in heights
 _GAP = 4.0  # from a point to its name, points
 _FARTHEST = 9  # times as far at most
 _BESIDE = 8  # places that need no line to the point
 Box = tuple[float, float, float, float]  # left, bottom, right, top, pixels
+Draw = Callable[[Axes, pd.DataFrame, str], tuple[Sequence[str], np.ndarray, np.ndarray]]
+
+
+def figure_of_points(points: pd.DataFrame, draw: Draw, stem: Path, hardware: str) -> list[Path]:
+    """Draw a panel a metric, two side by side, and write the names of its points; returns a PNG and a PDF.
+
+    Parameters
+    ----------
+    points : DataFrame
+        With a column metric; those that have no place are left out before.
+    draw : callable
+        Draws the points of a metric; gives their names, (n,), and places, (n,) each, in units of the axes.
+    stem : Path
+        Of the files, without suffix.
+    hardware : str
+        The device that the times were measured on, written on the figure; empty for none.
+    """
+    metrics = list(dict.fromkeys(points["metric"]))
+    if not metrics:
+        raise ValueError("no finite point with a positive time to draw")
+    across = min(len(metrics), 2)
+    down = -(-len(metrics) // across)
+    with house_style():
+        figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, _PANEL_IN * down)
+        grid = list(figure.subplots(down, across, squeeze=False).ravel())
+        for axes in grid[len(metrics) :]:
+            axes.set_axis_off()
+        drawn = [draw(axes, points[points["metric"] == m], m) for axes, m in zip(grid, metrics, strict=False)]
+        one_legend(figure, grid[: len(metrics)], 3)
+        if hardware:
+            figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
+        figure.draw_without_rendering()  # so that the panels have their places
+        for axes, (names, x, y) in zip(grid, drawn, strict=False):
+            write_names(axes, names, x, y)
+        return save_figure(figure, stem)
 
 
 def write_names(axes: Axes, names: Sequence[str], x: np.ndarray, y: np.ndarray) -> None:

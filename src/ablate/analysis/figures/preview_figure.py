@@ -52,11 +52,6 @@ def preview_figure(
         Labels, 0 outside the fan.
     grid : SiteGrid
         Its axis and front are drawn as arrows.
-
-    Returns
-    -------
-    Path
-        `path`.
     """
     colours = tissue_colours(scene.tissues)
     with house_style(), rc_context({"grid.color": "#dddddd", "grid.linewidth": 0.5}):

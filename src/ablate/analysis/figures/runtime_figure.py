@@ -9,18 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from ablate.analysis.components import Component
-from ablate.analysis.figures.point_names import write_names
+from ablate.analysis.figures.point_names import figure_of_points
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
-from ablate.analysis.figures.style import (
-    PAGE_IN,
-    baseline_line,
-    colour_of,
-    house_style,
-    new_figure,
-    one_legend,
-    save_figure,
-    shown_name,
-)
+from ablate.analysis.figures.style import baseline_line, colour_of, shown_name
 from ablate.analysis.results import StudyResults
 from ablate.analysis.scored import BASELINE_NAMES
 from ablate.analysis.statistics.work_precision import pareto_front, runtime_points
@@ -32,7 +23,6 @@ SIMULATOR = "simulator"
 SIMULATOR_COLOUR = "#888888"
 #: Columns that points may have: the ends of an interval over frames of how much worse than re-simulation one is.
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
-_PANEL_IN = 3.1
 _FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
 
 
@@ -63,39 +53,18 @@ def error_vs_runtime(
     components : sequence of Component
         Changes of these are written in short.
 
-    Returns
-    -------
-    list of Path
-        A PNG and a PDF.
-
     Raises
     ------
     ValueError
         If no finite point has a positive time.
     """
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
-    metrics = list(dict.fromkeys(points["metric"]))
-    if not metrics:
-        raise ValueError("no finite point with a positive time to draw")
-    across = min(len(metrics), 2)
-    down = -(-len(metrics) // across)
     names = {name: shown_name(name, components) for name in points["series"] if not name.startswith(SIMULATOR)}
-    with house_style():
-        figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, _PANEL_IN * down)
-        grid = list(figure.subplots(down, across, squeeze=False).ravel())
-        for axes in grid[len(metrics) :]:
-            axes.set_axis_off()
-        drawn = [
-            _draw_panel(axes, points[points["metric"] == metric], metric, (floors or {}).get(metric), names)
-            for axes, metric in zip(grid, metrics, strict=False)
-        ]
-        one_legend(figure, grid[: len(metrics)], 3)
-        if hardware:
-            figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
-        figure.draw_without_rendering()  # so that the panels have their places
-        for axes, (labels, x, y) in zip(grid, drawn, strict=False):
-            write_names(axes, labels, x, y)
-        return save_figure(figure, stem)
+
+    def draw(axes: Axes, of_metric: pd.DataFrame, metric: str) -> tuple[list[str], np.ndarray, np.ndarray]:
+        return _draw_panel(axes, of_metric, metric, (floors or {}).get(metric), names)
+
+    return figure_of_points(points, draw, stem, hardware)
 
 
 def _draw_panel(

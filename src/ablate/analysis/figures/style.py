@@ -1,19 +1,17 @@
-"""One look for all figures: paper widths, 8 pt, colours that survive grey print, names, and a panel a metric."""
+"""One look for all figures: paper widths, 8 pt, colours that survive grey print, and names."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import MaxNLocator
 
 from ablate.analysis.components import Component
 from ablate.analysis.scored import REFERENCE, RESIMULATION
@@ -23,10 +21,6 @@ from ablate.storage import written_whole
 
 PAGE_IN = 7.16  # width of a page of an IEEE paper, inches
 PNG_DPI = 200
-# Heights in a figure of panels.
-ROW_IN = 0.19
-HEAD_IN = 0.55
-LEGEND_IN = 0.25
 HINTS = {Direction.higher: "better →", Direction.lower: "← better", Direction.zero: "0 is right", Direction.none: ""}
 
 # Okabe and Ito (2008), told apart by the colour-blind, from dark to light so that the order also holds in grey.
@@ -68,38 +62,6 @@ def colour_of(name: str, names: Sequence[str]) -> str:
     return "#000000" if name == REFERENCE else COLOURS[others.index(name) % len(COLOURS)]
 
 
-def metric_panels(
-    metrics: Sequence[str], rows: Sequence[str], across: int, row_in: float = ROW_IN
-) -> tuple[Figure, list[Axes]]:
-    """An empty figure with one axes a metric.
-
-    Parameters
-    ----------
-    metrics : sequence of str
-        One axes each.
-    rows : sequence of str
-        Shown names, from top to bottom; row k lies at the ordinate `len(rows) - k`.
-    across : int
-        Axes side by side.
-    row_in : float, inches
-        Height of a row.
-    """
-    across = min(across, len(metrics))
-    down = -(-len(metrics) // across)
-    figure = new_figure(PAGE_IN, LEGEND_IN + down * (HEAD_IN + row_in * max(len(rows), 2)))
-    grid = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
-    places = range(len(rows), 0, -1)
-    for axes in grid[: len(metrics)]:
-        axes.set_yticks(places, rows)
-        axes.set_ylim(0.4, len(rows) + 0.6)
-        axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.tick_params(axis="y", length=0)
-        axes.hlines(places, 0, 1, colors="#EEEEEE", lw=0.5, zorder=0, transform=axes.get_yaxis_transform())
-    for axes in grid[len(metrics) :]:
-        axes.set_axis_off()
-    return figure, grid[: len(metrics)]
-
-
 def shown_name(label: str, components: Sequence[Component] = ()) -> str:
     """A label as it is written on a figure: `sa2h.concat-input.depth-6` becomes `sa2h −concat depth 6`.
 
@@ -136,25 +98,6 @@ def baseline_line(metric: str, baseline: str = RESIMULATION, after: str = "") ->
         return {"color": FORMULA_COLOUR, "ls": "-.", "label": f"{baseline}{after}"}
     style = "--" if metric_of(metric).resimulation is Resimulation.floor else ":"
     return {"color": FLOOR_COLOUR, "ls": style, "label": f"{baseline}{after} (dashed: floor, dotted: level)"}
-
-
-def draw_baselines(axes: Axes, metric: str, values: Mapping[str, float], after: str = "") -> None:
-    """Draw the baselines as vertical lines where they are finite.
-
-    Parameters
-    ----------
-    axes : Axes
-        Of a panel.
-    metric : str
-        Of the panel.
-    values : mapping of str to float
-        What each scores, in units of the metric.
-    after : str
-        What stands behind their names in the legend.
-    """
-    for baseline, value in values.items():
-        if np.isfinite(value):
-            axes.axvline(value, lw=1.0, zorder=1, **baseline_line(metric, baseline, after))
 
 
 def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:
