@@ -69,7 +69,7 @@ class Formula:
         self._level_db = np.append(_SILENT_DB, own_db + settings.scatterer_level_db - white_db)  # by label
         gain_db = time_gain_db(sample_depths_mm(probe, settings.axial_samples), probe, settings.time_gain)
         self._gain_of_rows_db = time_gain_db(sample_depths_mm(probe, rows), probe, settings.time_gain)[:, None]
-        self._floor = 10 ** ((settings.noise_floor_db + gain_db - gain_db.max()) / 20)
+        self._floor = 10 ** ((settings.noise_level_db - white_db + gain_db) / 20)
 
     def insonified(self, maps: Mapping[str, np.ndarray]) -> Insonified:
         """What maps of a frame in beam space, as `Pairs.read` gives them, tell the formula.

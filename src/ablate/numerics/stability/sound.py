@@ -20,7 +20,7 @@ PENCIL = ConvexProbe(fov_deg=0.002, frequency_mhz=3.0)
 #: One scanline along its axis.
 ONE_LINE = SimulatorSettings(
     scanlines=1, axial_samples=1024, rays=8, layers=1, image_shape=(64, 89), axial_fwhm_mm=1.2,
-    noise_floor_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
+    noise_level_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
 )  # fmt: skip
 
 
@@ -142,7 +142,7 @@ def _grazing(checks: Checks) -> None:
 def _cavity(checks: Checks) -> None:
     """Gel between two walls of gas that are 10 mm apart, R = 0.998: there is an echo every 5 mm, without end."""
     scene = Scene((slab(GAS, -200.0, 300.0), slab(GEL, -5.0, 5.0)), GEL, "cavity")
-    settings = replace(ONE_LINE, scanlines=128, rays=256, lateral_fwhm_mm=1e-6, noise_floor_db=-100.0)
+    settings = replace(ONE_LINE, scanlines=128, rays=256, lateral_fwhm_mm=1e-6, noise_level_db=-120.0)
     shown = [checks.both(scene, replace(settings, path_seed=seed), PENCIL) for seed in range(6)]
     checks.any_frame(shown[0], settings, PENCIL)
     depth = sample_depths_mm(PENCIL, settings.axial_samples)
