@@ -160,7 +160,7 @@ SEEN = {
     ),
     "scatterer_level_db": (-40.0, r"scatterer_level_db=-50\.0 \(here -40\.0\)"),
     "axial_fwhm_mm": (0.9, r"pulse axial_mm=0\.3 \(here 0\.9\)"),
-    "lateral_fwhm_mm": (None, r"pulse lateral_mm=0\.8 \(here 9\.08\)"),  # two pixels
+    "lateral_fwhm_mm": (None, r"pulse lateral_mm=0\.8 \(here 4\.95\)"),  # two pixels
     "depth_mode": ("time_of_flight", r"depth_mode=geometric \(here time_of_flight\)"),
     "tgc_db_cm_mhz": (0.6, r"time gain 0 13\.7 .* 96 dB \(here 0 20\.6 .* 144 dB\)"),
     "time_gain_db": (CURVE, r"time gain 0 13\.7 .* 96 dB \(here 0 1 2 3 4 5 6 7 dB\)"),
