@@ -51,7 +51,8 @@ source = source_of(run.training.settings)
 if not source.has_scene:
     raise SystemExit("The pairs of this study were made elsewhere: it has no scene. Run `make sweep`.")
 scene, grid = source.scene()
-pairs, probe, settings = run.training.data_set.pairs, run.training.settings.probe, SimulatorSettings()
+pairs, probe = run.training.data_set.pairs, run.training.settings.probe
+settings = SimulatorSettings(noise_level_db=-110, most_gain_db=45)  # noise and gain of a scanner, all else the paper's
 tests = pairs.frames(Part.test)
 variety = [len(np.unique(labels)) for labels in pairs.read("segmentation", tests)]
 frame = int(tests[int(np.argmax(variety))])  # the test frame that shows most tissues
@@ -347,7 +348,8 @@ axes[1].plot(depths, level, color="#999999", lw=0.5, label="envelope")
 shown_db = (grey[busiest] / 255 - 1) * settings.dynamic_range_db
 axes[1].plot(row_depths, shown_db, color="#0072b2", lw=0.5, label="with gain and noise, as displayed")
 noise_db = settings.noise_level_db - 20 * np.log10(settings.reference_level)
-axes[1].axhline(noise_db, color="k", ls="--", lw=0.8, label="noise before the gain")
+gain_db = np.minimum(2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depths / 10, settings.most_gain_db)
+axes[1].plot(depths, noise_db + gain_db, color="k", ls="--", lw=0.8, label="noise with gain")
 axes[1].set(title=f"Scanline {busiest}", xlabel="depth (mm)", ylabel="dB under white", xlim=(0, probe.depth_mm))
 axes[1].set_ylim(-125, 10)
 axes[1].legend(frameon=False, fontsize=8, loc="lower left")

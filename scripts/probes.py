@@ -18,7 +18,12 @@ from ablate.ultrasound.probe import fan_of
 DOCS = Path(__file__).parents[1] / "docs"
 PLANE = "abdomen"
 SHOWN = {"c5-2v": "convex, C5-2v", "l11-5v": "linear, L11-5v", "p4-2v": "phased, P4-2v"}
-SIZE = ["preset=paper", "simulator.scanlines=192", "simulator.axial_samples=2048", "simulator.rays=16"]
+SIZE = [
+    "preset=fine",
+    "simulator.image_shape=${fan_shape:1000}",
+    "simulator.scanlines=192",
+    "simulator.axial_samples=2048",
+]
 
 
 def main() -> None:

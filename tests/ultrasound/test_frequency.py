@@ -56,7 +56,7 @@ def full_width(places: np.ndarray, values: np.ndarray) -> float:
 
 
 def penetration_cm(probe: Probe, tissue: Tissue) -> float:
-    """As IEC 61391-2:2010 has it: the depth below which a phantom's echoes are weaker than the noise."""
+    """The depth where echoes are as strong as noise, of two images as in IEC 61391-2:2010: a phantom's and noise's."""
     bands = 64
     seen, noise = (by_depth(power(scene, probe, SCANNER), bands) for scene in (block(tissue), Scene((), GEL, "gel")))
     share_db = 10 * np.log10(np.maximum(seen / noise - 1, 1e-3))
