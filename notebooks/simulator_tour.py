@@ -41,6 +41,7 @@ from ablate.ultrasound.surfaces.embree import asked_ray
 from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
+from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport import tracing
 from ablate.ultrasound.transport.advance import advance, grown
 from ablate.ultrasound.transport.rays import MAX_ROWS
@@ -348,7 +349,7 @@ axes[1].plot(depths, level, color="#999999", lw=0.5, label="envelope")
 shown_db = (grey[busiest] / 255 - 1) * settings.dynamic_range_db
 axes[1].plot(row_depths, shown_db, color="#0072b2", lw=0.5, label="with gain and noise, as displayed")
 noise_db = settings.noise_level_db - 20 * np.log10(settings.reference_level)
-gain_db = np.minimum(2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depths / 10, settings.most_gain_db)
+gain_db = time_gain_db(depths, probe, settings.time_gain)
 axes[1].plot(depths, noise_db + gain_db, color="k", ls="--", lw=0.8, label="noise with gain")
 axes[1].set(title=f"Scanline {busiest}", xlabel="depth (mm)", ylabel="dB under white", xlim=(0, probe.depth_mm))
 axes[1].set_ylim(-125, 10)

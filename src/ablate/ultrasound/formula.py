@@ -19,7 +19,7 @@ from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport.surface_maps import ECHO_DB, LIGHT_DB
 
 #: Part of what its kept scores are known by: raise it when the same maps give another image.
-FORMULA_VERSION = 1
+FORMULA_VERSION = 2
 _VALUES_OF_A_ROW = 2  # as the lattice of scatterers has
 _HAZE_ROWS = 9  # an echo that is longer than these comes from reverberation, which has random phases
 _SILENT_DB = -300.0

@@ -27,10 +27,11 @@ ONE_LINE = SimulatorSettings(
 @case("bone of 40 dB/cm/MHz across 150 mm")
 def _losses(checks: Checks) -> None:
     """Bone fills the fan: 320 dB/cm, or 4800 dB one way to the end of the image."""
-    settings = replace(SMALL, axial_samples=3072, axial_fwhm_mm=0.3)
+    pulse_mm = 0.3
+    settings = replace(SMALL, axial_samples=3072, axial_fwhm_mm=pulse_mm)
     depth_cm = sample_depths_mm(PROBE, settings.axial_samples) / 10
     near = depth_cm < 0.5  # 320 dB two-way; squares of float32 underflow beyond 440 dB
-    grains = settings.scanlines / 4 * 5 / settings.axial_fwhm_mm  # near the face a beam is four lines wide
+    grains = settings.scanlines / 4 * 5 / pulse_mm  # near the face a beam is four lines wide
     for frame in checks.frames(Scene((), BONE, "bone"), settings):
         error = abs(_slope(frame, depth_cm, near) / (-2 * 40 * 8) - 1)
         bound = 4 * 5.57 * np.sqrt(12 / grains) / 320
