@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from ablate.command.compose import jobs_of
+from ablate.command.describe import description
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings
@@ -96,6 +97,18 @@ def test_frequency_acts_as_on_a_scanner_in_every_preset_but_the_papers(preset: s
     assert s.axial_fwhm_mm is s.lateral_fwhm_mm is s.elevational_fwhm_mm is None
     assert (paper.noise_level_db, paper.most_gain_db) == (-177.0, None)
     assert (paper.axial_fwhm_mm, paper.lateral_fwhm_mm, paper.elevational_fwhm_mm) == (0.3, 0.8, 2.5)
+
+
+def test_what_makes_the_pulse_the_noise_and_the_gain_is_part_of_the_data_and_the_pulse_is_said() -> None:
+    words = ("bandwidth=0.6", "element_height_mm=10", "noise_level_db=-120", "most_gain_db=50", "axial_fwhm_mm=1.3")
+    known = {
+        str(source_of(composed(*chosen)).identity()) for chosen in ([], *([f"simulator.{word}"] for word in words))
+    }
+    assert len(known) == 1 + len(words)
+    text = description(jobs_of(["variant=sa2h"]))
+    assert (
+        "pulse of 3 MHz: 1.23 mm along, two pixels, where it is 0.32 mm; 1.59 mm across at 70 mm; 2.45 mm out" in text
+    )
 
 
 def test_steering_decides_nothing_of_one_angle() -> None:
