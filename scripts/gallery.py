@@ -15,9 +15,12 @@ import numpy as np
 
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, load_scene, load_sites
+from ablate.command.compose import jobs_of
 from ablate.dataset import probe_poses
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, TimeGain, with_patient_gain
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, with_patient_gain
 
+#: A scanner's noise, gain and pulse at the paper's image size.
+SETTINGS = ["preset=fine", "simulator.image_shape=[1000,1386]", "simulator.axial_samples=3072", "simulator.rays=32"]
 FREQUENCY_MHZ = 5.0  # usual for a second-trimester examination
 SCOUT_SHAPE = (100, 139)  # of the label maps from which the poses are chosen
 COLUMNS = 3
@@ -59,7 +62,7 @@ def main() -> None:
     args = parser.parse_args()
     scene = load_scene(args.folder) if args.folder else fetal_abdomen()
     poses = poses_by_tissue(args.folder, scene) if args.folder else fetal_planes()
-    probe, patient = ConvexProbe(frequency_mhz=args.frequency), SimulatorSettings(tgc=TimeGain.patient)
+    probe, patient = ConvexProbe(frequency_mhz=args.frequency), jobs_of(SETTINGS)[0].settings.simulator
     simulator = Simulator(scene, probe, with_patient_gain(scene, probe, patient, np.array(list(poses.values()))))
     draw(scene, {name: simulator.render(pose) for name, pose in poses.items()}, args.out)
 

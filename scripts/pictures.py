@@ -16,19 +16,22 @@ from ablate.analysis import preview_figure
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, TimeGain, with_patient_gain
+from ablate.command.compose import jobs_of
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, with_patient_gain
 from ablate.ultrasound.probe import fan_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 PLANE = "spine"
 LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
+#: A scanner's noise, gain and pulse at the paper's image size.
+SETTINGS = ["preset=fine", "simulator.image_shape=[1000,1386]", "simulator.axial_samples=3072", "simulator.rays=32"]
 FREQUENCY_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the attenuation map is left to see
 
 
 def main() -> None:
     """Render the frame and write both pictures."""
     scene, probe, grid = fetal_abdomen(), ConvexProbe(frequency_mhz=FREQUENCY_MHZ), fetal_sites()
-    planes, patient = fetal_planes(), SimulatorSettings(tgc=TimeGain.patient)
+    planes, patient = fetal_planes(), jobs_of(SETTINGS)[0].settings.simulator
     settings, pose = with_patient_gain(scene, probe, patient, np.array(list(planes.values()))), planes[PLANE]
     frame = Simulator(scene, probe, settings).render(pose)
     write_panels(scene, probe, frame)
