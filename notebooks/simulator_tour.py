@@ -41,6 +41,7 @@ from ablate.ultrasound.surfaces.embree import asked_ray
 from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
+from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport import tracing
 from ablate.ultrasound.transport.advance import advance, grown
 from ablate.ultrasound.transport.rays import MAX_ROWS
@@ -51,7 +52,8 @@ source = source_of(run.training.settings)
 if not source.has_scene:
     raise SystemExit("The pairs of this study were made elsewhere: it has no scene. Run `make sweep`.")
 scene, grid = source.scene()
-pairs, probe, settings = run.training.data_set.pairs, run.training.settings.probe, SimulatorSettings()
+pairs, probe = run.training.data_set.pairs, run.training.settings.probe
+settings = SimulatorSettings(noise_level_db=-110, most_gain_db=45)  # noise and gain of a scanner, all else the paper's
 tests = pairs.frames(Part.test)
 variety = [len(np.unique(labels)) for labels in pairs.read("segmentation", tests)]
 frame = int(tests[int(np.argmax(variety))])  # the test frame that shows most tissues
@@ -346,7 +348,9 @@ level = decibel(rendered.envelope[:, busiest] / settings.reference_level, -140)
 axes[1].plot(depths, level, color="#999999", lw=0.5, label="envelope")
 shown_db = (grey[busiest] / 255 - 1) * settings.dynamic_range_db
 axes[1].plot(row_depths, shown_db, color="#0072b2", lw=0.5, label="with gain and noise, as displayed")
-axes[1].axhline(settings.noise_floor_db, color="k", ls="--", lw=0.8, label="noise floor")
+noise_db = settings.noise_level_db - 20 * np.log10(settings.reference_level)
+gain_db = time_gain_db(depths, probe, settings.time_gain)
+axes[1].plot(depths, noise_db + gain_db, color="k", ls="--", lw=0.8, label="noise with gain")
 axes[1].set(title=f"Scanline {busiest}", xlabel="depth (mm)", ylabel="dB under white", xlim=(0, probe.depth_mm))
 axes[1].set_ylim(-125, 10)
 axes[1].legend(frameon=False, fontsize=8, loc="lower left")

@@ -38,6 +38,10 @@ PAPERS_SIZE = (
     "simulator.rays=32",
     "simulator.axial_fwhm_mm=0.3",
     "simulator.lateral_fwhm_mm=0.8",
+    "simulator.elevational_fwhm_mm=2.5",
+    "simulator.active_aperture_mm=16",
+    "simulator.noise_level_db=-177",
+    "simulator.most_gain_db=null",
     "training.steps=2400",
 )
 #: Metrics of the table of scores.

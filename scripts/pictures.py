@@ -3,6 +3,7 @@
 gallery: six frames, each above its segmentation: the standard planes of the built-in anatomy or, of a scene folder, the
 pose that shows most of a tissue, for each of its six smallest tissues.
 frame: image, segmentation and attenuation map side by side; and the probe on the body, as `task=preview` draws it.
+frequencies: one plane at three frequencies, with a part of each enlarged.
 probes: one plane as a convex, a linear and a phased array of conf/probe see it, from the same place on the skin.
 compounding: one plane without and with spatial compounding; above of a convex probe, below of a linear one.
 
@@ -20,7 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Rectangle
 
 from ablate.analysis import preview_figure
 from ablate.analysis.figures.scene_parts import tissue_colours
@@ -29,7 +30,7 @@ from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites, load
 from ablate.command.compose import jobs_of
 from ablate.dataset import probe_poses
 from ablate.settings.study import StudySettings
-from ablate.ultrasound import ConvexProbe, Frame, Probe, Simulator, SimulatorSettings, TimeGain, with_patient_gain
+from ablate.ultrasound import ConvexProbe, Frame, Probe, Simulator, SimulatorSettings, with_patient_gain
 from ablate.ultrasound.probe import fan_of
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -42,7 +43,12 @@ LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 PROBES = {"c5-2v": "convex, C5-2v", "l11-5v": "linear, L11-5v", "p4-2v": "phased, P4-2v"}
 COMPOUNDED = {"c5-2v": "spine", "l11-5v": "abdomen"}  # plane of each probe
 ANGLES = (1, 5)
-SIZE = ["preset=paper", "simulator.scanlines=192", "simulator.axial_samples=2048", "simulator.rays=16"]
+FREQUENCIES_MHZ = (2, 5, 12)
+FREQUENCIES_PLANE = "abdomen"
+ENLARGED_MM = (-20.0, 20.0, 62.0, 36.0)  # left, right, bottom, top
+#: Noise, gain and pulse of a scanner at the paper's image size.
+SIZE = ["preset=fine", "simulator.image_shape=${fan_shape:1000}", "simulator.axial_samples=3072"]
+MANY_RAYS = [*SIZE, "simulator.rays=32"]
 GREY: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation": "antialiased"}
 
 
@@ -71,7 +77,7 @@ def gallery(folder: Path | None, path: Path) -> None:
     """Write gallery.png, of the built-in anatomy or of a scene folder."""
     scene = load_scene(folder) if folder else fetal_abdomen()
     poses = poses_by_tissue(folder, scene) if folder else fetal_planes()
-    probe, patient = ConvexProbe(frequency_mhz=GALLERY_MHZ), SimulatorSettings(tgc=TimeGain.patient)
+    probe, patient = ConvexProbe(frequency_mhz=GALLERY_MHZ), jobs_of(MANY_RAYS)[0].settings.simulator
     simulator = Simulator(scene, probe, with_patient_gain(scene, probe, patient, np.array(list(poses.values()))))
     rows = -(-len(poses) // COLUMNS)
     figure, axes = plt.subplots(2 * rows, COLUMNS, figsize=(11, 2.9 * 2 * rows), squeeze=False)
@@ -90,7 +96,7 @@ def gallery(folder: Path | None, path: Path) -> None:
 def frame() -> None:
     """Write frame.png and preview.png."""
     scene, probe, planes = fetal_abdomen(), ConvexProbe(frequency_mhz=FRAME_MHZ), fetal_planes()
-    patient, pose = SimulatorSettings(tgc=TimeGain.patient), planes[FRAME_PLANE]
+    patient, pose = jobs_of(MANY_RAYS)[0].settings.simulator, planes[FRAME_PLANE]
     settings = with_patient_gain(scene, probe, patient, np.array(list(planes.values())))
     shown = Simulator(scene, probe, settings).render(pose)
     write_panels(scene, probe, shown)
@@ -126,7 +132,7 @@ def write_panels(scene: Scene, probe: ConvexProbe, shown: Frame) -> None:
 
 
 def settings_of(probe: str) -> StudySettings:
-    """The paper's settings with a probe of conf/probe."""
+    """The settings of the pictures with a probe of conf/probe."""
     return jobs_of([f"probe={probe}", *SIZE])[0].settings
 
 
@@ -169,17 +175,41 @@ def compounding() -> None:
         figure.savefig(DOCS / "compounding.png", dpi=PNG_DPI)
 
 
+def frequencies() -> None:
+    """Write frequencies.png."""
+    scene, planes = fetal_abdomen(), np.array([*fetal_planes().values()])
+    pose, (left, right, bottom, top) = fetal_planes()[FREQUENCIES_PLANE], ENLARGED_MM
+    with house_style():
+        figure = Figure(figsize=(PAGE_IN, 0.5 * PAGE_IN), layout="constrained")
+        panels = figure.subplots(2, len(FREQUENCIES_MHZ), height_ratios=(1.0, 0.85))
+        for (whole, enlarged), frequency_mhz in zip(panels.T, FREQUENCIES_MHZ, strict=True):
+            (job,) = jobs_of([*SIZE, "simulator.scanlines=256", f"probe.frequency_mhz={frequency_mhz}"])
+            chosen = with_patient_gain(scene, job.settings.probe, job.settings.simulator, planes)
+            image = Simulator(scene, job.settings.probe, chosen, poses=[pose]).render(pose).image
+            for axes in (whole, enlarged):
+                axes.imshow(image, extent=extent_of(job.settings.probe), **GREY)
+            whole.set_title(f"{frequency_mhz} MHz")
+            whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, ec="#f0e442", lw=0.6))
+            enlarged.set_xlim(left, right)
+            enlarged.set_ylim(bottom, top)
+            enlarged.set_xlabel("lateral (mm)")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("depth (mm)")
+        figure.savefig(DOCS / "frequencies.png", dpi=0.8 * PNG_DPI)
+
+
 def main() -> None:
     """Draw what is asked for."""
+    others = {"frame": frame, "frequencies": frequencies, "probes": probes, "compounding": compounding}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("gallery", "frame", "probes", "compounding"))
+    parser.add_argument("what", choices=("gallery", *others))
     parser.add_argument("--folder", type=Path, help="a scene folder for the gallery")
     parser.add_argument("--out", type=Path, default=DOCS / "gallery.png", help="of the gallery")
     args = parser.parse_args()
     if args.what == "gallery":
         gallery(args.folder, args.out)
     else:
-        {"frame": frame, "probes": probes, "compounding": compounding}[args.what]()
+        others[args.what]()
 
 
 if __name__ == "__main__":

@@ -7,12 +7,14 @@ from typing import Any
 import pytest
 
 from ablate.command.compose import jobs_of
+from ablate.command.describe import description
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.sources.source import source_of
-from ablate.ultrasound import ConvexProbe, LinearProbe, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, LinearProbe
 from ablate.ultrasound.probe import pixel_size_mm
+from ablate.ultrasound.pulse import pulse_widths
 
 OTHERS = ("linear", "phased", "c5-2v", "l11-5v", "p4-2v")
 SPEED_MM_US = 1.54
@@ -37,7 +39,7 @@ def test_the_frame_keeps_the_rows_of_the_preset_and_has_square_pixels(probe: str
     assert s.simulator.image_shape[0] == before.simulator.image_shape[0]
     height, width = pixel_size_mm(s.probe, s.simulator.image_shape)
     assert width == pytest.approx(height, rel=0.01)
-    assert min(s.simulator.axial_fwhm_mm, s.simulator.lateral_fwhm_mm) >= 1.99 * height
+    assert min(pulse_widths(s.probe, s.simulator)[:2]) >= 1.99 * height
     assert s.training.crop == before.training.crop
 
 
@@ -77,15 +79,36 @@ def test_real_probes_have_the_values_of_their_data_sheets(probe: str, active: fl
         assert sheet["radius"] == float("inf")
         own_span_mm = s.probe.width_mm if isinstance(s.probe, LinearProbe) else s.probe.aperture_mm
         assert own_span_mm == pytest.approx(span_mm)
-    own: SimulatorSettings = s.simulator
+    own = pulse_widths(s.probe, s.simulator)
     wavelength_mm, focus_mm = SPEED_MM_US / frequency_mhz, sheet["focus"] * 1e3
     height_mm = sheet["height"] * 1e3
-    assert own.focus_mm == focus_mm
-    assert own.elevational_fwhm_mm == pytest.approx(0.886 * wavelength_mm * focus_mm / height_mm, rel=0.02)
+    assert s.simulator.focus_mm == focus_mm
+    assert own.elevational_mm == pytest.approx(0.886 * wavelength_mm * focus_mm / height_mm, rel=0.02)
     pulse_us = 0.8825 / (sheet["bandwidth"] / 100 * frequency_mhz)
-    assert own.axial_fwhm_mm == pytest.approx(SPEED_MM_US / 2 * pulse_us, rel=0.02)
+    assert own.axial_mm == pytest.approx(SPEED_MM_US / 2 * pulse_us, rel=0.02)
     f_number = 2.0 if active is None else focus_mm / (active * span_mm)
-    assert own.lateral_fwhm_mm == pytest.approx(0.886 * wavelength_mm * f_number, rel=0.03)
+    assert own.lateral_mm == pytest.approx(0.886 * wavelength_mm * f_number, rel=0.03)
+
+
+@pytest.mark.parametrize("preset", ["tiny", "quick", "fine"])
+def test_frequency_acts_as_on_a_scanner_in_every_preset_but_the_papers(preset: str) -> None:
+    s, paper = composed(f"preset={preset}").simulator, composed("preset=paper").simulator
+    assert (s.noise_level_db, s.most_gain_db) == (-110.0, 45.0)
+    assert s.axial_fwhm_mm is s.lateral_fwhm_mm is s.elevational_fwhm_mm is None
+    assert (paper.noise_level_db, paper.most_gain_db) == (-177.0, None)
+    assert (paper.axial_fwhm_mm, paper.lateral_fwhm_mm, paper.elevational_fwhm_mm) == (0.3, 0.8, 2.5)
+
+
+def test_what_makes_the_pulse_the_noise_and_the_gain_is_part_of_the_data_and_the_pulse_is_said() -> None:
+    words = ("bandwidth=0.6", "element_height_mm=10", "noise_level_db=-120", "most_gain_db=50", "axial_fwhm_mm=1.3")
+    known = {
+        str(source_of(composed(*chosen)).identity()) for chosen in ([], *([f"simulator.{word}"] for word in words))
+    }
+    assert len(known) == 1 + len(words)
+    text = description(jobs_of(["variant=sa2h"]))
+    assert (
+        "pulse of 3 MHz: 1.23 mm along, two pixels, where it is 0.32 mm; 1.59 mm across at 70 mm; 2.45 mm out" in text
+    )
 
 
 def test_steering_decides_nothing_of_one_angle() -> None:

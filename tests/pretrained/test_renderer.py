@@ -110,6 +110,14 @@ def test_a_file_gives_back_the_same_renderer(frame: Frame, tmp_path: Path) -> No
     assert (back.values, back.probe, back.simulator) == (made().values, PROBE, made().simulator)
 
 
+def test_a_setting_that_is_no_more_does_not_keep_a_file_from_loading(tmp_path: Path) -> None:
+    save(made(), tmp_path / "mine.pt")
+    content = torch.load(tmp_path / "mine.pt", weights_only=True)
+    content["simulator"]["gone_db"] = -45.0
+    torch.save(content, tmp_path / "older.pt")
+    assert load(tmp_path / "older.pt").simulator == made().simulator
+
+
 def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"sa3h: no trained generator, allowed are .*sa2h"):
         ablate.load("sa3h")
@@ -145,10 +153,14 @@ CURVE = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 SEEN = {
     "dynamic_range_db": (40.0, r"dynamic_range_db=60\.0 \(here 40\.0\)"),
     "reference_level": (0.01, r"reference_level=0\.1 \(here 0\.01\)"),
-    "noise_floor_db": (-30.0, r"noise_floor_db=-45\.0 \(here -30\.0\)"),
+    "noise_level_db": (-110.0, r"noise_level_db=-177\.0 \(here -110\.0\)"),
+    "most_gain_db": (
+        45.0,
+        r"most_gain_db=None \(here 45\.0\), time gain 0 13\.7 .* 96 dB \(here 0 13\.7 .* 45 45 45 dB\)",
+    ),
     "scatterer_level_db": (-40.0, r"scatterer_level_db=-50\.0 \(here -40\.0\)"),
-    "axial_fwhm_mm": (0.9, r"axial_fwhm_mm=0\.3 \(here 0\.9\)"),
-    "lateral_fwhm_mm": (2.0, r"lateral_fwhm_mm=0\.8 \(here 2\.0\)"),
+    "axial_fwhm_mm": (0.9, r"pulse axial_mm=0\.3 \(here 0\.9\)"),
+    "lateral_fwhm_mm": (None, r"pulse lateral_mm=0\.8 \(here 4\.95\)"),  # two pixels
     "depth_mode": ("time_of_flight", r"depth_mode=geometric \(here time_of_flight\)"),
     "tgc_db_cm_mhz": (0.6, r"time gain 0 13\.7 .* 96 dB \(here 0 20\.6 .* 144 dB\)"),
     "time_gain_db": (CURVE, r"time gain 0 13\.7 .* 96 dB \(here 0 1 2 3 4 5 6 7 dB\)"),
@@ -156,7 +168,16 @@ SEEN = {
     "scanlines": (24, r"rows x scanlines of 32 x 12 \(here 32 x 24\)"),
     "axial_samples": (128, r"rows x scanlines of 32 x 12 \(here 64 x 12\)"),
 }
-UNSEEN = {"rays": 2, "layers": 1, "path_seed": 7, "precision": "float64", "plan": "full", "device": "cuda"}
+UNSEEN = {
+    "elevational_fwhm_mm": 2.45,
+    "bandwidth": 0.5,
+    "rays": 2,
+    "layers": 1,
+    "path_seed": 7,
+    "precision": "float64",
+    "plan": "full",
+    "device": "cuda",
+}
 
 
 @pytest.mark.parametrize(("name", "value", "said"), [(name, *case) for name, case in SEEN.items()])

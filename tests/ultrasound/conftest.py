@@ -63,7 +63,7 @@ def small() -> SimulatorSettings:
     """Cheap settings whose speckle is still finer than the pulse."""
     return SimulatorSettings(
         scanlines=64, axial_samples=1024, rays=8, layers=3, image_shape=(200, 277), axial_fwhm_mm=1.2,
-        lateral_fwhm_mm=1.6, noise_floor_db=-300.0, tgc_db_cm_mhz=0.0,
+        lateral_fwhm_mm=1.6, noise_level_db=-300.0, tgc_db_cm_mhz=0.0,
     )  # fmt: skip
 
 
@@ -89,7 +89,7 @@ def apart() -> SimulatorSettings:
     """Scanlines that are not blurred into each other, with all rays along their axes."""
     return SimulatorSettings(
         scanlines=128, axial_samples=1024, rays=32, layers=1, image_shape=(8, 8), axial_fwhm_mm=1.2,
-        lateral_fwhm_mm=1e-6, noise_floor_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
+        lateral_fwhm_mm=1e-6, noise_level_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ SPECKLE = Tissue("t", 1540, 1.5, 0.0, 0.6, 0.0, 1.0, roughness=0.0)
 LINEAR = LinearProbe(width_mm=50.0, depth_mm=50.0, frequency_mhz=5.0)
 SETTINGS = SimulatorSettings(
     scanlines=128, axial_samples=1024, rays=1, layers=1, image_shape=(64, 64), axial_fwhm_mm=0.3, lateral_fwhm_mm=0.9,
-    focus_mm=30.0, noise_floor_db=-300.0, tgc_db_cm_mhz=0.0, sidelobe_db=-300.0, aperture_mm=0.0,
+    focus_mm=30.0, noise_level_db=-300.0, tgc_db_cm_mhz=0.0, sidelobe_db=-300.0, aperture_mm=0.0,
     elevational_aperture_mm=0.0, active_aperture_mm=0.0,
 )  # fmt: skip
 PER_SIGMA = np.sqrt(8 * np.log(2))
@@ -246,7 +246,7 @@ def body(gel, ball) -> Scene:
 
 def test_a_frame_belongs_to_its_seeds_and_its_maps_to_the_scanlines_ahead(body, probe, small, ahead) -> None:
     """Also with other threads, another plan, and after another pose."""
-    settings = replace(small, noise_floor_db=-40.0, compound_angles=3)
+    settings = replace(small, noise_level_db=-60.0, compound_angles=3)
     simulator, moved = Simulator(body, probe, settings), ahead.copy()
     moved[0, 3] = 3.0
     first = simulator.render(ahead, seed=3)
@@ -284,7 +284,7 @@ def test_the_set_in_the_middle_is_the_frame_of_one_angle(body, probe, small, ahe
 
 def test_noise_is_averaged_where_nothing_comes_back(empty, probe, small, ahead) -> None:
     """The plan casts no ray there, but noise of several sets is smoother than that of one, by sqrt(n)."""
-    settings = replace(small, noise_floor_db=-30.0, samples_per_row=1)
+    settings = replace(small, noise_level_db=-50.0, samples_per_row=1)
     grey = {}
     for angles in (1, 9):
         auto, full = (

@@ -105,7 +105,7 @@ def test_dots_lie_on_their_pixels(gel, ball, ahead) -> None:
     places_mm = [(0.0, 20.0), (-25.0, 45.0), (40.0, 90.0), (-70.0, 80.0), (20.0, 140.0)]
     tissue = Tissue("dot", 1540, 1.5, 0.0, 1.0, 0.0, 10.0, roughness=0.0)
     scene = Scene(tuple(ball(tissue, (x, 0.0, z), 1.0) for x, z in places_mm), gel, "s")
-    settings = SimulatorSettings(rays=1, scanlines=384, noise_floor_db=-300.0)
+    settings = SimulatorSettings(rays=1, scanlines=384, noise_level_db=-300.0)
     frame = Simulator(scene, ConvexProbe(), settings).render(ahead)
     half = np.radians(35)
     x = ((np.arange(1386) + 0.5) / 1386 - 0.5) * 2 * 190 * np.sin(half)

@@ -40,7 +40,7 @@ def test_a_body_that_moves_with_the_probe_has_the_same_grain_to_the_bit(probe, s
 
 def test_a_scene_that_is_moved_takes_its_scatterers_along() -> None:
     """Frames differ by the amplifier's noise alone, which is drawn anew at each pose; here it is far below."""
-    settings = replace(SETTINGS, noise_floor_db=-200.0, plan="full")
+    settings = replace(SETTINGS, noise_level_db=-200.0, plan="full")
     scene = Scene((Structure(trimesh.creation.box((400, 400, 400)), load_tissues()["liver"]),), DENSE, "block")
     pose, motion = np.eye(4), rigid(7)
     frame = Simulator(scene, PROBES[0], settings).render(pose, seed=2)
@@ -124,7 +124,7 @@ def test_the_simulators_speckle_is_made_of_the_grain() -> None:
 
     from ablate.ultrasound.imaging.point_spread import blur, point_spread
 
-    settings = replace(SETTINGS, scanlines=48, samples_per_row=1, noise_floor_db=-200.0, sidelobe_db=-300.0)
+    settings = replace(SETTINGS, scanlines=48, samples_per_row=1, noise_level_db=-200.0, sidelobe_db=-300.0)
     frame = Simulator(Scene((), DENSE, "block"), PROBES[0], settings).render(np.eye(4), seed=6)
     field = frame.beam.grain[..., 0].T
     parts = np.ascontiguousarray(np.stack([field.real, field.imag]), np.float32)

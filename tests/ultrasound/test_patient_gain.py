@@ -63,7 +63,7 @@ def test_tissue_is_equally_bright_at_all_depths() -> None:
         (slab(replace(TISSUES["soft_tissue"], texture_contrast_db=0.0), -5, 200),), TISSUES["soft_tissue"], "s"
     )
     probe = ConvexProbe(depth_mm=80, frequency_mhz=4)
-    settings = with_patient_gain(scene, probe, replace(PATIENT, scanlines=96, noise_floor_db=-300.0), AHEAD)
+    settings = with_patient_gain(scene, probe, replace(PATIENT, scanlines=96, noise_level_db=-300.0), AHEAD)
     simulator = Simulator(scene, probe, settings)
     images = np.stack([simulator.image(np.eye(4), seed) for seed in range(6)])
     rows = [images[:, a:b, 24:40].mean() for a, b in ((16, 28), (28, 40), (40, 52))]
@@ -90,7 +90,7 @@ def test_a_straight_curve_is_the_fixed_gain() -> None:
 
 
 def test_sliders_that_fall_at_the_end_leave_noise_and_echoes_before_as_they_were() -> None:
-    """Noise is at its level where the gain is largest, and Russian roulette ends what is faint there."""
+    """Noise has one level before the gain, and Russian roulette ends what is faint where the gain is largest."""
     scene = Scene((slab(TISSUES["liver"], -5, 200),), TISSUES["coupling_gel"], "liver")
     gel = Scene((), TISSUES["coupling_gel"], "gel")
     for shown in (scene, gel):

@@ -18,7 +18,7 @@ TISSUE = Tissue("t", 1540, 1.5, 0.5, 0.6, 0.0, 1.0, roughness=0.0)
 CLEAR = replace(TISSUE, attenuation_db_cm_mhz=0.0)
 SPECKLE = SimulatorSettings(
     scanlines=161, axial_samples=1024, rays=1, layers=1, image_shape=(50, 50), axial_fwhm_mm=0.6, lateral_fwhm_mm=1.5,
-    focus_mm=60.0, focal_range_mm=40.0, noise_floor_db=-300.0, tgc_db_cm_mhz=0.0,
+    focus_mm=60.0, focal_range_mm=40.0, noise_level_db=-300.0, tgc_db_cm_mhz=0.0,
 )  # fmt: skip
 
 
@@ -88,7 +88,7 @@ def test_a_flat_face_on_a_flat_wall_sends_all_sound_into_it(turn) -> None:
     for gap_mm in (0.0, 0.01):
         body = trimesh.creation.box(bounds=[[-80, -80, gap_mm], [80, 80, 200]]).apply_transform(pose)
         scene = Scene((Structure(body, replace(TISSUE, impedance_mrayl=1.65)),), replace(CLEAR, name="gel"), "s")
-        shown = replace(SPECKLE, rays=16, aperture_mm=0.2, image_shape=(128, 100), noise_floor_db=-55.0)
+        shown = replace(SPECKLE, rays=16, aperture_mm=0.2, image_shape=(128, 100), noise_level_db=-75.0)
         images.append(Simulator(scene, LINEAR, shown).render(pose).image[10:].astype(int))
     assert np.abs(images[1] - images[0]).mean() < 0.5
     assert np.abs((images[1] - images[0]).mean(axis=0)).max() < 3

@@ -55,7 +55,7 @@ def test_an_image_alone_is_that_of_the_frame_and_makes_no_maps(scene, probe, sma
 
 
 def test_an_empty_scene_is_all_background(empty, probe, small, ahead) -> None:
-    settings = replace(small, noise_floor_db=-55.0)
+    settings = replace(small, noise_level_db=-75.0)
     frame = Simulator(empty, probe, settings).render(ahead)
     assert frame.envelope.max() == 0
     assert (frame.segmentation[frame.mask] == 1).all()
@@ -69,7 +69,7 @@ def test_nothing_is_cast_where_nothing_comes_back(slab, gel, probe, small, ahead
     """Fluid of the gel's impedance and speed, with a loss: the image is that of the full plan."""
     lossy = replace(gel, name="lossy", attenuation_db_cm_mhz=1.0)
     scene = Scene((slab(lossy, 40.0, 60.0),), gel, "s")
-    settings = replace(small, noise_floor_db=-55.0)
+    settings = replace(small, noise_level_db=-75.0)
     auto, full = (Simulator(scene, probe, replace(settings, plan=plan)) for plan in PlanMode)
     assert any(note.startswith("rays, scatterers") for note in auto.left_out)
     assert images_equal(auto.render(ahead), full.render(ahead))
@@ -210,7 +210,7 @@ def test_poses_that_are_not_rigid(empty, probe, small, pose, message) -> None:
 
 
 def test_equal_poses_have_equal_images(scene, probe, small) -> None:
-    noisy = replace(small, noise_floor_db=-20.0)
+    noisy = replace(small, noise_level_db=-40.0)
     pose = np.where(np.eye(4) == 0, -0.0, np.eye(4))
     assert np.signbit(pose).any()
     images = [Simulator(scene, probe, noisy).render(each).image for each in (np.eye(4), pose)]

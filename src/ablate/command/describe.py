@@ -18,6 +18,7 @@ from ablate.settings.conf import variant_names
 from ablate.settings.study import StudySettings
 from ablate.study.job import Job, parameters
 from ablate.ultrasound.probe import fan_of
+from ablate.ultrasound.pulse import pulse_in_words
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
 
 _UNKNOWN = "-"
@@ -120,12 +121,13 @@ def _field(spec: GeneratorSpec, labels: int, name: str, rows: int, height_mm: fl
 
 
 def _same_for_all(settings: StudySettings) -> list[str]:
-    """The frame, the crop and the discriminator's patch, in the space of the network, beside the paper's."""
+    """The frame, the crop and the discriminator's patch, in the space of the network, beside the paper's; the pulse."""
     simulator, space = settings.simulator, settings.model.space
     rows, height = _height(space, simulator, settings.probe)
     columns = (simulator.beam_shape if space is Space.beam else simulator.image_shape)[1]
     patch = networks.patch_size(PatchDiscriminator(networks.discriminator_channels(settings.model), 0.01))
     lengths = {"crop": (settings.training.crop or rows, PAPER_CROP), "patch of the discriminator": (patch, patch)}
+    simulated = [] if settings.scene.kind == "pairs" else [pulse_in_words(settings.probe, simulator)]
     return [
         f"frame: {rows} x {columns} px of {height / rows:.2f} mm (in the paper: {PAPER_ROWS} rows of "
         f"{_PAPER_MM / PAPER_ROWS:.2f} mm)",
@@ -134,6 +136,7 @@ def _same_for_all(settings: StudySettings) -> list[str]:
             f"{_length(paper, PAPER_ROWS, _PAPER_MM)})"
             for name, (px, paper) in lengths.items()
         ),
+        *simulated,
     ]
 
 

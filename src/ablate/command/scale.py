@@ -2,7 +2,7 @@
 
 The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
 `simulator.image_shape`: `${levels:4}` and `${crop:}`. That shape is `${fan_shape:256}`, the fan in so many rows,
-or for pairs made elsewhere `${png_shape:}`. No pulse is finer than the frame can show: `${two_pixels:0.3}`.
+or for pairs made elsewhere `${png_shape:}`.
 
 Where networks know the scatterers, their noise is the lattice: `${noise:inject}` and, of U-Nets, `${noise:none}` with
 `${extra_noise:}`.
@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ablate.networks.spec import DEPTHS, ExtraInput, GeneratorSpec, Noise, Space
 from ablate.training.settings import SMALLEST_CROP, Reconstruction, TrainingSettings
-from ablate.ultrasound.probe import fan_of, square_pixels
+from ablate.ultrasound.probe import square_pixels
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, probe_from
 
 PAPER_SHAPE = SimulatorSettings().image_shape
@@ -62,10 +62,6 @@ def register_resolvers() -> None:
         "home": _home,
         # an image of the probe's fan with so many rows and square pixels
         "fan_shape": lambda rows, *, _root_: list(square_pixels(_probe(_root_), int(rows))),
-        # a length in mm, or that of two rows of the image where this is more
-        "two_pixels": lambda least_mm, *, _root_: max(
-            float(least_mm), round(2 * fan_of(_probe(_root_)).size_mm[0] / max(_rows(_root_), 1), 3)
-        ),
     }
     for name, resolver in resolvers.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)

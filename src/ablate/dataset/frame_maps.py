@@ -6,14 +6,13 @@ import numpy as np
 
 from ablate.networks.spec import COMPOUND, GRAIN, OF_POSITION, OF_SURFACES, Space
 from ablate.ultrasound import Beam, Probe, compensated_attenuation, compensated_beam, position_maps, scan_converter
+from ablate.ultrasound.time_gain import Gain
 
 #: S and A of an image, and the frame in beam space.
 FrameMaps = tuple[np.ndarray, np.ndarray, Beam]
 
 
-def maps_read(
-    names: Sequence[str], space: Space, maps: FrameMaps, probe: Probe, tgc: float | Sequence[float]
-) -> dict[str, np.ndarray]:
+def maps_read(names: Sequence[str], space: Space, maps: FrameMaps, probe: Probe, tgc: Gain) -> dict[str, np.ndarray]:
     """The maps that a generator reads, from those of one simulated frame; `low` is not made.
 
     Parameters
@@ -26,7 +25,7 @@ def maps_read(
         S and A of the image, and the frame in beam space.
     probe : Probe
         That of the frame.
-    tgc : float or sequence of float
+    tgc : float, sequence of float or LimitedGain
         Time gain of the frame, dB/cm/MHz or a curve.
 
     Returns

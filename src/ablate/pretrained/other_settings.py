@@ -6,6 +6,7 @@ from ablate.networks import Space
 from ablate.setting import identity, plain
 from ablate.ultrasound import Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.probe import pixel_size_mm
+from ablate.ultrasound.pulse import PulseWidths, pulse_widths
 from ablate.ultrasound.time_gain import time_gain_db
 
 MadeWith = tuple[Probe, SimulatorSettings]
@@ -13,8 +14,9 @@ MadeWith = tuple[Probe, SimulatorSettings]
 _SAID_OTHERWISE = frozenset(
     {"image_shape", "scanlines", "axial_samples", "tgc", "tgc_db_cm_mhz", "time_gain_db"}
     | {"rays", "layers", "path_seed", "precision"}
+    | {"axial_fwhm_mm", "lateral_fwhm_mm", "elevational_fwhm_mm", "bandwidth", "element_height_mm"}
 )
-_ALIKE = 0.05  # of the size of a pixel
+_ALIKE = 0.05  # of the size of a pixel, and of the pulse
 _ALIKE_DB = 0.5  # of a time gain
 
 
@@ -39,6 +41,9 @@ def trained_with(trained: MadeWith, here: MadeWith, space: Space) -> str:
         for key in [one for one in of_training if one in of_frame]:
             if of_training[key] != of_frame[key]:
                 unlike.append((f"{key}=", of_training[key], of_frame[key]))
+    for name, theirs, ours in zip(PulseWidths._fields, pulse_widths(*trained), pulse_widths(*here), strict=True):
+        if not np.isclose(theirs, ours, rtol=_ALIKE, atol=0):
+            unlike.append((f"pulse {name}=", f"{theirs:.3g}", f"{ours:.3g}"))
     trained_db, here_db = (_gain_db(here[0], settings) for _, settings in (trained, here))
     if trained_db is None or here_db is None:
         is_alike = TimeGain.patient == trained[1].tgc == here[1].tgc

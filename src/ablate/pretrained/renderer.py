@@ -14,7 +14,7 @@ from ablate import dataset
 from ablate.anatomy import Tissue, load_tissues
 from ablate.networks import Generator, GeneratorSpec, Space, conditions, read_stored, stored_generator
 from ablate.pretrained.other_settings import trained_with
-from ablate.setting import plain
+from ablate.setting import plain, settings_of
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
 from ablate.ultrasound import Beam, Frame, Probe, SimulatorSettings, scan_converter
@@ -24,6 +24,7 @@ from ablate.user_code import UnnamedCodeError, check_named
 #: The key of the values outside the fan.
 OUTSIDE = ""
 _FOLDER = Path(__file__).parent
+_SIMULATOR = frozenset(one.name for one in settings_of(SimulatorSettings))
 _LEAST_APART = 0.001  # of the pixels of two fans that are not the same
 #: The generators that come with the package; the README.md beside them says how each was trained.
 NAMES = tuple(sorted(path.stem for path in _FOLDER.glob("*.pt")))
@@ -178,7 +179,8 @@ def _renderer_of(content: Mapping[str, Any]) -> Renderer:
         generator=generator.eval(),
         values={name: tuple(map(float, of_tissue)) for name, of_tissue in content["values"].items()},
         probe=probe_from(content["probe"]),
-        simulator=SimulatorSettings(**content["simulator"]),
+        # a setting that is no more, as files of earlier versions have, says nothing of frames made here
+        simulator=SimulatorSettings(**{k: v for k, v in content["simulator"].items() if k in _SIMULATOR}),
         made=content["made"],
     )
 

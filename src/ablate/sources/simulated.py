@@ -21,6 +21,7 @@ from ablate.settings.study import ConfigurationError, StudySettings, Task, refus
 from ablate.sources.data_set import PAIRS_RECIPE, training_frames
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask, with_patient_gain
 from ablate.ultrasound.media import plan_scene
+from ablate.ultrasound.pulse import pulse_in_words
 from ablate.ultrasound.settings import SimulatorSettings, TimeGain
 
 
@@ -160,6 +161,7 @@ def simulate_data(
         left_out.append(f"nothing, but tissues are guessed: {scene.guessed}")
     tqdm.write(f"Simulating pairs into {folder}")
     tqdm.write(f"{layout.placement}; {len(layout.sites)} of {asked} frames asked for")
+    tqdm.write(pulse_in_words(settings.probe, simulator))
     for line in left_out:
         tqdm.write(f"left out: {line}")
     about = {

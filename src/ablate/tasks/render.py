@@ -20,6 +20,7 @@ from ablate.study.job import Job
 from ablate.tasks.export import check_dicom
 from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
+from ablate.ultrasound.pulse import pulse_widths
 
 _PREVIEW = frozenset({"segmentation", "target"})
 _FRAME_MS = 50  # of a cine: 20 frames a second
@@ -106,6 +107,7 @@ def _made_with(
         "scene": plain(settings.scene),
         "probe": plain(settings.probe),
         "simulator": plain(simulator),
+        "pulse_mm": dict(pulse_widths(settings.probe, simulator)._asdict()),
         "simulator_version": SIMULATOR_VERSION,
         "seed": settings.dataset.seed,
         "poses": poses.tolist(),

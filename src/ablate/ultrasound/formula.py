@@ -19,7 +19,7 @@ from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport.surface_maps import ECHO_DB, LIGHT_DB
 
 #: Part of what its kept scores are known by: raise it when the same maps give another image.
-FORMULA_VERSION = 1
+FORMULA_VERSION = 2
 _VALUES_OF_A_ROW = 2  # as the lattice of scatterers has
 _HAZE_ROWS = 9  # an echo that is longer than these comes from reverberation, which has random phases
 _SILENT_DB = -300.0
@@ -69,7 +69,7 @@ class Formula:
         self._level_db = np.append(_SILENT_DB, own_db + settings.scatterer_level_db - white_db)  # by label
         gain_db = time_gain_db(sample_depths_mm(probe, settings.axial_samples), probe, settings.time_gain)
         self._gain_of_rows_db = time_gain_db(sample_depths_mm(probe, rows), probe, settings.time_gain)[:, None]
-        self._floor = 10 ** ((settings.noise_floor_db + gain_db - gain_db.max()) / 20)
+        self._floor = 10 ** ((settings.noise_level_db - white_db + gain_db) / 20)
 
     def insonified(self, maps: Mapping[str, np.ndarray]) -> Insonified:
         """What maps of a frame in beam space, as `Pairs.read` gives them, tell the formula.

@@ -18,6 +18,7 @@ SLIDERS = 8  # of a scanner's panel
 _POSES = 24
 _LINES, _SAMPLES = 64, 512
 _BINS = 64  # of depth
+_MOST_DB = 300.0  # of a slider
 _SOFT_MRAYL = (1.0, 2.5)  # bone and gas lie outside, and what is behind them is shadow
 
 
@@ -31,7 +32,7 @@ def with_patient_gain(
     The gain makes up for what the median sample of tissue has lost at its depth, two ways, over the scanlines of 24 of
     the poses. It is the curve that fits the medians best and does not fall (isotonic regression), at 8 sliders. What
     has no scatterers, or lies in the shadow of bone or gas, does not count. The curve is rounded to 0.1 dB, so that all
-    processors have the same.
+    processors have the same. How much of it the receiver gives is `most_gain_db`.
 
     Parameters
     ----------
@@ -60,4 +61,4 @@ def with_patient_gain(
     medians = np.interp(middle, middle[known], [np.nanmedian(by_bin[i]) for i in known])
     rising = isotonic_regression(medians, weights=np.maximum(count, 1)).x
     gain_db = make_interp_spline(middle, rising, k=1)(np.arange(SLIDERS))  # linear, beyond the outer bins' middles too
-    return replace(settings, time_gain_db=cast(Sliders, tuple(gain_db.round(1).tolist())))
+    return replace(settings, time_gain_db=cast(Sliders, tuple(gain_db.round(1).clip(max=_MOST_DB).tolist())))

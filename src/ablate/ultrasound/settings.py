@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from ablate.setting import Checked, check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 11
+SIMULATOR_VERSION = 12
 
 
 class PlanMode(StrEnum):
@@ -50,6 +50,14 @@ _distance_mm = partial(setting, least=1e-3, most=1e6, unit="mm")
 Sliders = tuple[float, float, float, float, float, float, float, float]
 
 
+@dataclass(frozen=True)
+class LimitedGain:
+    """A time gain that a receiver gives up to `most_db`: a slope, dB/cm/MHz one way, or a curve, dB two ways."""
+
+    gain: float | tuple[float, ...]
+    most_db: float
+
+
 # The largest counts are far beyond any use: what exceeds them is a slip, and would end for want of memory after the
 # anatomy is built.
 @dataclass(frozen=True)
@@ -57,8 +65,8 @@ class SimulatorSettings:
     """How a frame is computed; the defaults are the paper's where it says, else assumed.
 
     The elevational width of the pulse grows with sqrt(1 + ((z - focus_mm) / focal_range_mm)^2), as that of a lens. The
-    lateral one follows from the probe (`point_spread.lateral_sigma`). A value that is not allowed is a ValueError that
-    names it and what is allowed.
+    lateral one follows from the probe (`point_spread.lateral_sigma`). Widths that are None follow from the frequency
+    (`pulse.pulse_widths`). A value that is not allowed is a ValueError that names it and what is allowed.
     """
 
     scanlines: int = setting(192, "Scanlines of a frame.", least=1, most=2**14)
@@ -84,18 +92,36 @@ class SimulatorSettings:
         most=300,
         unit="dB",
     )
-    noise_floor_db: float = setting(
-        -45.0,
-        "Level of the amplifier's noise below white where the time gain is largest (assumed).",
+    most_gain_db: float | None = setting(
+        None,
+        "Most time gain, two ways, that the receiver gives; null: any, as no scanner does.",
+        least=0,
+        most=300,
+        unit="dB",
+    )
+    noise_level_db: float = setting(
+        -177.0,
+        "Root mean square of the receiver's noise before the time gain, at all depths and frequencies, against the "
+        "echo of a flat perfect reflector seen face on; -110 is a scanner's (docs/simulator.md).",
         least=-1e3,
-        most=0,
+        most=100,
         unit="dB",
     )
     dynamic_range_db: float = setting(60.0, "Between black and white.", least=1, most=1e3, unit="dB")
     reference_level: float = setting(0.1, "Amplitude that is shown as white.", least=1e-12, most=1e12)
-    axial_fwhm_mm: float = _size_mm(0.30, "Length of the pulse, full width at half maximum.")
-    lateral_fwhm_mm: float = _size_mm(0.8, "Width of the pulse in the image plane at `focus_mm`.")
-    elevational_fwhm_mm: float = _size_mm(2.5, "Width of the pulse across the image plane at `focus_mm`.")
+    axial_fwhm_mm: float | None = _size_mm(
+        0.30, "Length of the pulse, full width at half maximum; null: of frequency and `bandwidth`, or two pixels."
+    )
+    lateral_fwhm_mm: float | None = _size_mm(
+        0.8,
+        "Width of the pulse in the image plane at `focus_mm`; null: of the wavelength and the active aperture, or two "
+        "pixels.",
+    )
+    elevational_fwhm_mm: float | None = _size_mm(
+        2.5, "Width of the pulse across the image plane at `focus_mm`; null: of the wavelength and `element_height_mm`."
+    )
+    bandwidth: float = setting(0.7, "Bandwidth of the pulse at -6 dB over its frequency (assumed).", least=0.01, most=2)
+    element_height_mm: float = _size_mm(13.0, "Height of the elements across the image plane (assumed).")
     focus_mm: float = _distance_mm(70.0, "Depth at which rays meet.")
     focal_range_mm: float = _distance_mm(
         40.0, "Distance from the focus at which the pulse is sqrt(2) as wide across the image plane."
@@ -153,10 +179,12 @@ class SimulatorSettings:
             raise ValueError(f"compound_angles={self.compound_angles}: allowed with depth_mode=time_of_flight is 1")
 
     def check_probe(self, probe: Probe) -> None:
-        """Refuse, by a ValueError, to compound images of a probe whose scanlines cannot be steered."""
+        """Refuse, by a ValueError, what a probe cannot do: to be steered, or to focus without an aperture."""
         if self.compound_angles > 1 and isinstance(probe, PhasedProbe):
             why = "its scanlines diverge from one point"
             raise ValueError(f"compound_angles={self.compound_angles}: allowed with a phased probe is 1, because {why}")
+        if self.lateral_fwhm_mm is None and self.active_aperture_mm == 0 and not isinstance(probe, PhasedProbe):
+            raise ValueError("active_aperture_mm=0.0: allowed with lateral_fwhm_mm=null are numbers above 0")
 
     @property
     def beam_shape(self) -> tuple[int, int]:
@@ -164,9 +192,10 @@ class SimulatorSettings:
         return -(-self.axial_samples // self.samples_per_row), self.scanlines
 
     @property
-    def time_gain(self) -> float | tuple[float, ...]:
-        """What `time_gain.time_gain_db` takes: a slope, dB/cm/MHz one way, or a curve, dB two ways."""
-        return self.tgc_db_cm_mhz if self.time_gain_db is None else self.time_gain_db
+    def time_gain(self) -> float | tuple[float, ...] | LimitedGain:
+        """What `time_gain.time_gain_db` takes: a slope, dB/cm/MHz one way, or a curve, dB two ways, and its limit."""
+        gain = self.tgc_db_cm_mhz if self.time_gain_db is None else self.time_gain_db
+        return gain if self.most_gain_db is None else LimitedGain(gain, self.most_gain_db)
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
@@ -184,7 +213,7 @@ class ProbeKind(StrEnum):
 
 _span_mm = partial(setting, least=1e-6, most=1e6, unit="mm")
 _depth_mm = partial(_span_mm, about="Imaging depth from the face.")
-_frequency = partial(setting, about="Frequency that attenuation is computed at.", least=1e-6, most=1e3, unit="MHz")
+_frequency = partial(setting, about="Frequency, for attenuation and the pulse.", least=1e-6, most=1e3, unit="MHz")
 
 
 @dataclass(frozen=True)

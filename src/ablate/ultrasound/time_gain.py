@@ -7,9 +7,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from ablate.ultrasound.probe import fan_mask, pixel_polar
-from ablate.ultrasound.settings import Probe
+from ablate.ultrasound.settings import LimitedGain, Probe
 
-Gain = float | Sequence[float] | np.ndarray  # as `SimulatorSettings.time_gain`
+Gain = float | Sequence[float] | np.ndarray | LimitedGain  # as `SimulatorSettings.time_gain`
 _LEAST = 1e-4  # of A; what is darker is black at any depth
 _REACH_DB = 36.0  # levels from minus this to this are 0 to 1
 
@@ -19,8 +19,10 @@ def time_gain_db(depth_mm: np.ndarray, probe: Probe, tgc: Gain) -> np.ndarray:
 
     A number is the attenuation of a tissue, dB/cm/MHz: the gain is what it takes on the way there and back. Several are
     the gain itself at equal distances from the face to the imaging depth; between them it is a monotone cubic (Fritsch
-    and Carlson, SIAM J. Numer. Anal. 17, 1980).
+    and Carlson, SIAM J. Numer. Anal. 17, 1980). A `LimitedGain` is no larger than its limit anywhere.
     """
+    if isinstance(tgc, LimitedGain):
+        return np.minimum(time_gain_db(depth_mm, probe, tgc.gain), tgc.most_db)
     if np.ndim(tgc):
         gain_db: np.ndarray = PchipInterpolator(np.linspace(0, probe.depth_mm, np.size(tgc)), tgc)(depth_mm)
         return gain_db
@@ -38,7 +40,8 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: Gain) ->
     attenuation : (..., H, W) float in [0, 1]
         A, over its 98th percentile, of an image of the fan's bounding box.
     tgc : float or several
-        A slope, dB/cm/MHz one way, or the curve of a patient, dB two ways, as `SimulatorSettings.time_gain`.
+        A slope, dB/cm/MHz one way, or the curve of a patient, dB two ways, as `SimulatorSettings.time_gain`; or one of
+        both with its limit.
 
     Returns
     -------
@@ -46,8 +49,10 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: Gain) ->
         0 outside the fan.
     """
     height, width = attenuation.shape[-2:]
-    values = np.asarray(tgc).tolist()
-    return _compensated(attenuation, _gain_db(probe, tuple(values) if np.ndim(tgc) else values, (height, width)))
+    if not isinstance(tgc, LimitedGain):  # which can be a key of a cache
+        values = np.asarray(tgc).tolist()
+        tgc = tuple(values) if np.ndim(tgc) else values
+    return _compensated(attenuation, _gain_db(probe, tgc, (height, width)))
 
 
 def compensated_beam(attenuation: np.ndarray, probe: Probe, tgc: Gain) -> np.ndarray:
@@ -66,7 +71,7 @@ def _compensated(attenuation: np.ndarray, gain_db: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _gain_db(probe: Probe, tgc: float | tuple[float, ...], shape: tuple[int, int]) -> np.ndarray:
+def _gain_db(probe: Probe, tgc: float | tuple[float, ...] | LimitedGain, shape: tuple[int, int]) -> np.ndarray:
     """Gain of the TGC at every pixel, (H, W) float32; minus infinity outside the fan, where the image is black."""
     depth_mm, _ = pixel_polar(probe, shape)
     inside = fan_mask(probe, shape)

@@ -73,14 +73,14 @@ def _display(checks: Checks) -> None:
     tried: dict[str, tuple[Any, ...]] = {"tgc_db_cm_mhz": (1e3, 10.0), "dynamic_range_db": (800.0,)}
     for name, values in tried.items():
         for value in values:
-            settings = replace(SMALL, noise_floor_db=-1e3, **{name: value})
+            settings = replace(SMALL, noise_level_db=-1e3, **{name: value})
             for frame in checks.frames(_BETWEEN_GEL, settings, label=f"{name} {value:g}"):
                 if name == "tgc_db_cm_mhz":
                     grey = frame.image[frame.segmentation == 2] < 255
                     checks.none("tissue that is not white", grey, "Its level is above the range.")
                 gel = frame.image[:40][frame.mask[:40]].max()  # above the tissue
                 checks.add("grey level of gel", gel, 0, "A gain does not change 0, which is below any dynamic range.")
-    levels = {"dynamic_range_db": (1.0,), "noise_floor_db": (0.0, -1e3), "reference_level": (1e-12,)}
+    levels = {"dynamic_range_db": (1.0,), "noise_level_db": (0.0, -1e3), "reference_level": (1e-12,)}
     _settings(checks, _BETWEEN_GEL, levels)
 
 

@@ -27,7 +27,7 @@ def _film(checks: Checks, thickness_mm: float) -> None:
     probe = ConvexProbe(fov_deg=0.002)
     settings = replace(
         SMALL, scanlines=16, rays=8, layers=1, aperture_mm=0.0, elevational_aperture_mm=0.0, lateral_fwhm_mm=1e-6,
-        noise_floor_db=-100.0, tgc_db_cm_mhz=0.0,
+        noise_level_db=-120.0, tgc_db_cm_mhz=0.0,
     )  # fmt: skip
     around, film = (replace(t, attenuation_db_cm_mhz=0.0, scatterer_density=0.0) for t in (SOFT, HARD))
     r = (film.impedance_mrayl - around.impedance_mrayl) / (film.impedance_mrayl + around.impedance_mrayl)

@@ -20,17 +20,18 @@ PENCIL = ConvexProbe(fov_deg=0.002, frequency_mhz=3.0)
 #: One scanline along its axis.
 ONE_LINE = SimulatorSettings(
     scanlines=1, axial_samples=1024, rays=8, layers=1, image_shape=(64, 89), axial_fwhm_mm=1.2,
-    noise_floor_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
+    noise_level_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
 )  # fmt: skip
 
 
 @case("bone of 40 dB/cm/MHz across 150 mm")
 def _losses(checks: Checks) -> None:
     """Bone fills the fan: 320 dB/cm, or 4800 dB one way to the end of the image."""
-    settings = replace(SMALL, axial_samples=3072, axial_fwhm_mm=0.3)
+    pulse_mm = 0.3
+    settings = replace(SMALL, axial_samples=3072, axial_fwhm_mm=pulse_mm)
     depth_cm = sample_depths_mm(PROBE, settings.axial_samples) / 10
     near = depth_cm < 0.5  # 320 dB two-way; squares of float32 underflow beyond 440 dB
-    grains = settings.scanlines / 4 * 5 / settings.axial_fwhm_mm  # near the face a beam is four lines wide
+    grains = settings.scanlines / 4 * 5 / pulse_mm  # near the face a beam is four lines wide
     for frame in checks.frames(Scene((), BONE, "bone"), settings):
         error = abs(_slope(frame, depth_cm, near) / (-2 * 40 * 8) - 1)
         bound = 4 * 5.57 * np.sqrt(12 / grains) / 320
@@ -142,7 +143,7 @@ def _grazing(checks: Checks) -> None:
 def _cavity(checks: Checks) -> None:
     """Gel between two walls of gas that are 10 mm apart, R = 0.998: there is an echo every 5 mm, without end."""
     scene = Scene((slab(GAS, -200.0, 300.0), slab(GEL, -5.0, 5.0)), GEL, "cavity")
-    settings = replace(ONE_LINE, scanlines=128, rays=256, lateral_fwhm_mm=1e-6, noise_floor_db=-100.0)
+    settings = replace(ONE_LINE, scanlines=128, rays=256, lateral_fwhm_mm=1e-6, noise_level_db=-120.0)
     shown = [checks.both(scene, replace(settings, path_seed=seed), PENCIL) for seed in range(6)]
     checks.any_frame(shown[0], settings, PENCIL)
     depth = sample_depths_mm(PENCIL, settings.axial_samples)

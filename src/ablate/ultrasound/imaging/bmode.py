@@ -175,7 +175,7 @@ class SignalChain:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The picture of what rays bring back, or of nothing.
 
-        The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
+        The receiver's noise has one level before the gain: it is seen where the gain is large, deep and in fluid.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class SignalChain:
         """
         settings, (noise, shifts) = self.settings, self.noise(pose, seed)
         gain = self._gain / settings.reference_level
-        floor = 10 ** (settings.noise_floor_db / 20) / gain[len(gain) // 2].max()  # rms
+        floor = 10 ** (settings.noise_level_db / 20)  # rms
         if display is not None:
             gain = gain * 10 ** (display.gain_at(self._range_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.probe import fan_of, layer_offsets_mm, sample_depths_mm, scanline_positions
+from ablate.ultrasound.pulse import pulse_widths
 from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
@@ -28,13 +29,14 @@ _TAIL = 4.0  # standard deviations kept of the axial kernel
 def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
     """Standard deviation of the main lobe in scanlines, (depths, scanlines or 1) float64.
 
-    It is `lateral_fwhm_mm` straight ahead in `focus_mm`. A convex probe that is focused at every depth, in transmission
-    and reception, has one angular width: within 2 % from 10 to 130 mm in PyMUST (docs/against_pymust.md). That of the
-    others follows from their apertures, see `LinearProbe` and `PhasedProbe`.
+    It is that of `pulse_widths` straight ahead in `focus_mm`. A convex probe that is focused at every depth, in
+    transmission and reception, has one angular width: within 2 % from 10 to 130 mm in PyMUST (docs/against_pymust.md).
+    That of the others follows from their apertures, see `LinearProbe` and `PhasedProbe`.
     """
     width_mm = fan_of(probe).width_mm
     lines = max(settings.scanlines - 1, 1)
-    at_focus = settings.lateral_fwhm_mm / FWHM_PER_SIGMA * lines / width_mm(np.array([settings.focus_mm]))[:, None]
+    sigma_mm = pulse_widths(probe, settings).lateral_mm / FWHM_PER_SIGMA
+    at_focus = sigma_mm * lines / width_mm(np.array([settings.focus_mm]))[:, None]
     if not isinstance(probe, PhasedProbe):  # as the scanlines spread, so does the beam
         return np.broadcast_to(at_focus, (len(depth_mm), 1))
     far = np.maximum(depth_mm, probe.aperture_mm) / max(settings.focus_mm, probe.aperture_mm)
@@ -44,7 +46,7 @@ def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarra
 
 def axial_kernel(probe: Probe, settings: SimulatorSettings) -> np.ndarray:
     """The pulse's envelope at the spacing of the samples, peak 1, (odd length,) float64."""
-    sigma = settings.axial_fwhm_mm / FWHM_PER_SIGMA / (probe.depth_mm / settings.axial_samples)
+    sigma = pulse_widths(probe, settings).axial_mm / FWHM_PER_SIGMA / (probe.depth_mm / settings.axial_samples)
     half = min(math.ceil(_TAIL * sigma), settings.axial_samples - 1)
     return np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
 
@@ -57,7 +59,7 @@ def layer_weights(probe: Probe, settings: SimulatorSettings) -> tuple[np.ndarray
     """
     depth = sample_depths_mm(probe, settings.axial_samples)
     widening = np.sqrt(1 + ((depth - settings.focus_mm) / settings.focal_range_mm) ** 2)
-    sigma = settings.elevational_fwhm_mm / FWHM_PER_SIGMA * widening
+    sigma = pulse_widths(probe, settings).elevational_mm / FWHM_PER_SIGMA * widening
     exponent = -0.5 * (layer_offsets_mm(settings)[:, None] / sigma) ** 2
     weights = np.exp(exponent - exponent.max(axis=0))
     return weights / np.sqrt((weights**2).sum(axis=0)), weights / weights.sum(axis=0)
