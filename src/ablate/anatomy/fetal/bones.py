@@ -148,7 +148,7 @@ def limb_bones(scale: float, limbs: Limbs) -> list[Part]:
             joints.append(spindle(point - lift, point + lift, (radius, radius), sides, up=(1.0, 0.0, 0.0)))
         along = unit(leg.bend - leg.root)
         start = leg.root + 4.0 * along
-        femora.append(rod(start, start + FEMUR_MM * along, FEMUR_RADIUS_MM, sides, 0.8))
+        femora.append(rod(start, start + FEMUR_MM * along, FEMUR_RADIUS_MM, sides, 0.3))
         others += _other_bones(side, leg, arm, sides)
     return [
         Part(joined(joints, "epiphyses"), "cartilage"),

@@ -31,7 +31,7 @@ MITRAL_MM, TRICUSPID_MM = -3.7, -2.5  # of the valves' planes to the apex
 LEAFLET_MM = 0.6
 HEAD_BOX: sdf.Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
 SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge
-SKULL_MM = 0.9
+SKULL_MM = 0.8
 FALX_MM = 1.0
 EYE_CENTER = (11.8, -31.0, -17.5)  # of the left one
 
