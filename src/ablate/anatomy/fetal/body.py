@@ -1,4 +1,4 @@
-"""The fetus at 22 weeks from outside: its axes, outline and limbs, skin and muscles, and balls that about fill it.
+"""The fetus at 22 weeks from outside: its axes, outline, limbs and skin, and balls that about fill it.
 
 Fetal axes in mm: x to its left, y to its back, z to its head. Organs and bones of the trunk are built in a straight
 trunk (x, y, s) and bent forward afterwards; cross-sections at constant s keep their shape. The head has axes of its
@@ -26,8 +26,7 @@ NECK_IN_HEAD = (0.0, 10.0, -25.0)
 HEAD_FLEXION_DEG = 34.0
 TRUNK_BOX: sdf.Bounds = ((-40.0, -40.0, -75.0), (40.0, 40.0, 75.0))
 WALL_OUTSIDE_MM, WALL_INSIDE_MM = 2.6, 5.8  # depth of the muscles of the trunk under its skin
-#: Where the trunk has no muscle under its skin, angle from the back and half width, degrees: the spinous processes, the
-#: lumbar fascia, the edge of the rectus, and the white line of the midline in front.
+#: Angle from the back and half width, degrees, where muscles part: spine, lumbar fascia, edge of rectus, white line.
 MUSCLE_GAPS_DEG = ((0.0, 7.0), (46.0, 5.0), (137.0, 4.5), (180.0, 5.5))
 _GAP_INSIDE_MM = 1.8  # depth there, before the muscles begin
 ABDOMEN_S_MM = -17.0  # level of the stomach, where the abdominal circumference is taken
@@ -262,50 +261,6 @@ def fetal_body(scale: float, seed: int) -> Part:
     """Trunk and head as one closed solid; what is inside comes later and owns its place."""
     whole = sdf.rippled(_body_field(), seed, 0.25, 24.0)
     return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.15 * scale, 9.75), "body and head"), "soft_tissue")
-
-
-def limb_flesh(scale: float, seed: int, limbs: Limbs) -> list[Part]:
-    """Skin and fat, then muscles, of every limb: groups that septa part, and that end before the joints."""
-    leg, arm = (4.0, (seed + 1, 0.2, 15.0), 1.05, 2.0), (2.0, (seed + 2, 0.12, 12.0), 0.85, 1.5)
-    kinds = {"left leg": leg, "right leg": leg, "left arm": arm, "right arm": arm}
-    joints = [*map(limbs.leg, SIDES), *map(limbs.arm, SIDES)]
-    skin, muscles = [], []
-    for rods, limb, (name, (blend_mm, ripple, pitch_mm, fat_mm)) in zip(limbs.rods(), joints, kinds.items(), strict=True):
-        field = sdf.rippled(sdf.union([sdf.capsule(*rod) for rod in rods], blend_mm), *ripple)
-        solid = sdf.solids_in(LIMBS_BOX, scale, 4.0 + 5.0 * pitch_mm)
-        skin.append(solid(field, "soft_tissue", pitch_mm, name))
-        groups = sdf.intersection([sdf.shrunk(field, fat_mm), sdf.outside(_between_muscles(limb, rods[0][3]))], 0.6)
-        muscles.append(solid(groups, "muscle", pitch_mm, f"{name} muscles"))
-    return [*skin, *muscles]
-
-
-def _between_muscles(limb: Limb, radius_mm: float) -> sdf.Field:
-    """Fat and fascia between a limb's muscles: three septa along its upper segment, two along the lower; its joints.
-
-    `radius_mm` is that of the limb at its middle joint.
-    """
-    septa = [sdf.ellipsoid(joint, np.full(3, share * radius_mm)) for joint, share in ((limb.bend, 1.0), (limb.end, 0.7))]
-    for start, end, turns_deg in ((limb.root, limb.bend, (0.0, 110.0, 230.0)), (limb.bend, limb.end, (60.0, 240.0))):
-        septa += [_septum(start, end, turn_deg) for turn_deg in turns_deg]
-    return sdf.union(septa, 0.3)
-
-
-def _septum(start: np.ndarray, end: np.ndarray, turn_deg: float) -> sdf.Field:
-    """A sheet from the axis between two points outwards, which widens from 0.5 to 1.5 mm over 10 mm."""
-    along = unit(end - start)
-    first = unit(np.cross(along, (0.3, 0.5, 0.8)))
-    out = np.cos(np.deg2rad(turn_deg)) * first + np.sin(np.deg2rad(turn_deg)) * np.cross(along, first)
-    across = np.cross(along, out)
-
-    def field(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        u, v, w = x - start[0], y - start[1], z - start[2]
-        away = out[0] * u + out[1] * v + out[2] * w
-        beside = np.abs(across[0] * u + across[1] * v + across[2] * w)
-        level = along[0] * u + along[1] * v + along[2] * w
-        sheet = np.maximum(beside - 0.25 - 0.05 * np.maximum(away, 0.0), -away)
-        return np.maximum(sheet, np.maximum(-level, level - np.linalg.norm(end - start)))
-
-    return field
 
 
 def fetal_balls(limbs: Limbs) -> np.ndarray:

@@ -11,7 +11,7 @@ from ablate.anatomy.fetal.shapes import Part, joined, unit
 from ablate.anatomy.fetal.tubes import rod, smooth_path, spindle, tube
 
 FEMUR_MM = 39.0
-FEMUR_RADIUS_MM = 2.6  # near its ends; 1.8 in its middle (assumed: a tenth of its length wide)
+FEMUR_RADIUS_MM = 2.8  # near its ends; its middle is a tenth of its length wide (assumed)
 SCAPULA_DEPTH_MM = 2.3  # of its middle under the skin
 RIB_DEPTH_MM = 4.2  # of a rib's middle under the skin
 #: Angle from the back (degrees) that each of the twelve ribs reaches.

@@ -1,4 +1,4 @@
-"""Fascia of the mother's abdominal wall in front: thin sheets in her fat, about her muscles and between them; mm."""
+"""Fascia of the mother's abdominal wall in front: thin sheets about her muscles and between them; mm."""
 
 from collections.abc import Callable
 
@@ -14,21 +14,11 @@ _BETWEEN_OBLIQUES = (0.38, 0.7)  # of the wall's thickness: external, internal, 
 _HALF_MM = 0.35  # of a sheet's thickness
 
 
-def fascia(scale: float, seed: int, fat: tuple[sdf.Field, sdf.Field], muscle_inside: sdf.Field) -> list[Part]:
-    """Membrane of the fat, both sheaths of the rectus, which meet in the white line, and what parts the obliques.
+def fascia(scale: float, muscle_outside: sdf.Field, muscle_inside: sdf.Field) -> list[Part]:
+    """Both sheaths of the rectus, which meet in the white line, and what parts the obliques.
 
-    Parameters
-    ----------
-    scale : float
-        Of the grids.
-    seed : int
-        Of the membrane's waves.
-    fat : tuple of Field
-        The faces of the fat: to the skin and to the muscles.
-    muscle_inside : Field
-        The inner face of the muscles.
+    `scale` is that of the grids; the fields are the faces of the muscles.
     """
-    fat_outside, fat_inside = fat
 
     def white_lines(x: np.ndarray) -> np.ndarray:
         """How much thicker the sheath is: through the wall in the midline and at the edges of the rectus."""
@@ -39,17 +29,15 @@ def fascia(scale: float, seed: int, fat: tuple[sdf.Field, sdf.Field], muscle_ins
         return 0.0 * x
 
     sides, up = _REACH_MM
-    step_mm = 6.0 * scale
-    across = np.union1d(_even(-sides, sides, step_mm), (0.0, 3.0, 6.0, 9.0))
+    step_mm = 5.0 * scale
+    across = _even(-sides, sides, step_mm)
     edges = SEMILUNAR_MM + np.array((-4.0, -2.0, 0.0, 2.0, 4.0))
-    sheath = np.unique(np.concatenate([across, (-3.0, -6.0, -9.0), edges, -edges]))
-    beside = _even(SEMILUNAR_MM + 6.0, sides + 24.0, step_mm)
-    z = _even(-up, up, 1.5 * step_mm)
-    membrane = sdf.rippled(_between(fat_outside, fat_inside, 0.55), seed + 8, 0.8, 45.0)
-    between = [_between(fat_inside, muscle_inside, share) for share in _BETWEEN_OBLIQUES]
+    sheath = np.unique(np.concatenate([across, np.arange(-9.0, 9.1, 3.0), edges, -edges]).round(1))
+    beside = _even(SEMILUNAR_MM + 6.0, sides + 4.0, step_mm)
+    z = _even(-up, up, 1.2 * step_mm)
+    between = [_between(muscle_outside, muscle_inside, share) for share in _BETWEEN_OBLIQUES]
     sheets = {
-        "membrane of the fat": [_sheet(membrane, (across, z), 0.6 * _HALF_MM, plain)],
-        "sheath of the rectus": [_sheet(fat_inside, (sheath, z), _HALF_MM, white_lines)],
+        "sheath of the rectus": [_sheet(muscle_outside, (sheath, z), _HALF_MM, white_lines)],
         "sheath behind the rectus": [_sheet(muscle_inside, (sheath, z), _HALF_MM, plain)],
         "fascia between the obliques": [
             _sheet(field, (x, z), 0.7 * _HALF_MM, plain) for field in between for x in (-beside[::-1], beside)
@@ -94,9 +82,7 @@ def _sheet(
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     outer = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     follow, inner = np.roll(rim, -1), x.size
-    wall = np.concatenate(
-        [np.stack([rim, rim + inner, follow + inner], 1), np.stack([rim, follow + inner, follow], 1)]
-    )
+    wall = np.concatenate([np.stack([rim, rim + inner, follow + inner], 1), np.stack([rim, follow + inner, follow], 1)])
     return trimesh.Trimesh(corners, np.concatenate([outer, outer[:, ::-1] + inner, wall]), process=False)
 
 

@@ -120,13 +120,12 @@ def mother(scale: float, uterus: Uterus) -> list[Part]:
     bladder = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
     fat_inside = sdf.rippled(sdf.shrunk(torso, SKIN_MM + uterus.fat_mm), seed + 3, 1.0, 70.0)
     muscle_inside = sdf.rippled(sdf.shrunk(_muscle_inside, uterus.fat_mm), seed + 5, 0.5, 60.0)
-    fat_outside = sdf.rippled(sdf.shrunk(torso, SKIN_MM), seed + 4, 0.12, 40.0)
     return [
         solid(torso, "skin", 4.4, "skin"),
-        solid(fat_outside, "fat", 4.4, "subcutaneous fat"),
+        solid(sdf.rippled(sdf.shrunk(torso, SKIN_MM), seed + 4, 0.12, 40.0), "fat", 4.4, "subcutaneous fat"),
         solid(fat_inside, "muscle", 4.2, "abdominal wall"),
         solid(muscle_inside, "soft_tissue", 4.0, "abdominal cavity"),
-        *fascia(scale, seed, (fat_outside, fat_inside), muscle_inside),
+        *fascia(scale, fat_inside, muscle_inside),
         *_back(scale, seed),
         *_bowel(scale, uterus),
         solid(outer, "uterine_wall", 2.4, "uterus"),

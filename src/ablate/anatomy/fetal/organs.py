@@ -14,8 +14,9 @@ from ablate.anatomy.fetal.body import (
     spine_y,
     trunk,
 )
+from ablate.anatomy.fetal.heart import heart, heart_muscle
 from ablate.anatomy.fetal.shapes import Part, Vector, joined, solids_in
-from ablate.anatomy.fetal.tubes import interpolated, smooth_path, spindle, tube
+from ablate.anatomy.fetal.tubes import interpolated, smooth_path, tube
 
 #: x, y and s of the umbilical vein, from the navel into the liver, where it turns to the right (the portal sinus).
 UMBILICAL_VEIN = (
@@ -23,19 +24,11 @@ UMBILICAL_VEIN = (
     (-24.5, -19.5, -14.0, -8.5, -3.8, -1.2, -0.8, -2.2),
     (-27.0, -20.5, -17.4, -16.8, -16.8, -16.9, -17.2, -17.6),
 )
-HEART_CENTER = np.array([2.6, -3.6, 17.0])
-#: The heart's axes as columns: to the apex (left, forward, down), to its left, and up; made orthonormal.
-HEART_TOWARDS = np.array([[0.64, 0.62, 0.2], [-0.70, 0.76, 0.0], [-0.26, 0.05, 1.0]])
-HEART_AXES = np.linalg.qr(HEART_TOWARDS)[0]
-MITRAL_MM, TRICUSPID_MM = -3.7, -2.5  # of the valves' planes to the apex
-LEAFLET_MM = 0.6
 HEAD_BOX: sdf.Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
 SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge
 SKULL_MM = 0.8
 FALX_MM = 1.0
 EYE_CENTER = (11.8, -31.0, -17.5)  # of the left one
-
-HEART_AXES *= np.sign((HEART_AXES * HEART_TOWARDS).sum(axis=0))
 
 
 def fetal_belly(scale: float, seed: int) -> list[Part]:
@@ -106,64 +99,12 @@ def fetal_chest(scale: float, seed: int) -> list[Part]:
     solid = solids_in(TRUNK_BOX, scale, 7.0)
     below_neck = sdf.half_space((0.0, 0.0, -1.0), -39.0)
     room = sdf.intersection([inside_muscles, above_diaphragm(0.6), below_neck], 2.0)
-    chambers = _chambers()
-    walls_mm = (2.6, 2.2, 1.3, 1.3)  # of the heart, thickest around the left ventricle
-    walls = [sdf.shrunk(chamber, -wall_mm) for chamber, wall_mm in zip(chambers, walls_mm, strict=True)]
-    myocardium = sdf.rippled(sdf.union(walls, 4.0), seed, 0.12, 14.0)
-    heart = sdf.intersection([myocardium, sdf.shrunk(trunk, WALL_INSIDE_MM + 0.4)], 1.0)
-    blood = [sdf.rippled(chamber, seed + 60, 0.06, 9.0) for chamber in chambers]
-    band = spindle(_in_heart((3.9, -0.8, -0.5)), _in_heart((3.4, -7.4, 0.5)), (0.6, 0.8), max(4, round(10 / scale)))
     return [
         solid(room, "soft_tissue", 1.0, "mediastinum"),
-        _lungs(min(0.85 * scale, 7.0), sdf.outside(sdf.shrunk(heart, -1.0)), seed + 2),
-        solid(heart, "myocardium", 0.65, "heart"),
-        sdf.several("blood", "heart chambers", blood, TRUNK_BOX, min(0.5 * scale, 1.6)),
-        Part(joined([band], "moderator band"), "myocardium"),
-        Part(joined(_leaflets(max(4, round(10 / scale))), "valves and atrial septum"), "vessel_wall"),
+        _lungs(min(0.85 * scale, 7.0), sdf.outside(sdf.shrunk(heart_muscle(seed), -1.0)), seed + 2),
+        *heart(scale, seed),
         *_great_vessels(scale),
     ]
-
-
-def _in_heart(point: tuple[float, float, float]) -> np.ndarray:
-    """A point given to the apex, to the heart's left and up, in the straight trunk."""
-    return HEART_CENTER + HEART_AXES @ np.array(point)
-
-
-def _chambers() -> list[sdf.Field]:
-    """Two ventricles and two atria, flat where valves and the septum of the atria lie between them.
-
-    The left ventricle reaches farther to the apex, the right one's valve lies nearer to it.
-    """
-
-    def ventricle(base: tuple[float, float], apex: tuple[float, float], radii: tuple[float, float]) -> sdf.Field:
-        halves = [sdf.capsule(_in_heart((*base, up)), _in_heart((*apex, up)), *radii) for up in (-1.2, 1.2)]
-        return sdf.union(halves, 2.0)
-
-    down, left = HEART_AXES[:, 0], HEART_AXES[:, 1]
-    sides = [
-        (MITRAL_MM, 1.0, ventricle((-3.5, 4.6), (8.0, 1.7), (3.5, 1.8)), ((-7.2, 3.5, 0.0), (4.5, 3.6, 4.1))),
-        (TRICUSPID_MM, -1.0, ventricle((-2.5, -4.8), (6.0, -3.6), (3.4, 1.9)), ((-6.6, -3.6, 0.0), (4.7, 3.8, 4.3))),
-    ]
-    ventricles, atria = [], []
-    for valve, side, room, (middle, radii) in sides:
-        origin, gap = float(HEART_CENTER @ down) + valve, LEAFLET_MM / 2.0 + 0.1
-        beside = sdf.half_space(side * left, side * float(HEART_CENTER @ left) + gap)
-        ventricles.append(sdf.intersection([room, sdf.half_space(down, origin + gap)], 0.6))
-        atrium = [sdf.ellipsoid(_in_heart(middle), radii, HEART_AXES), sdf.half_space(-down, gap - origin), beside]
-        atria.append(sdf.intersection(atrium, 0.6))
-    return ventricles + atria
-
-
-def _leaflets(sides: int) -> list[trimesh.Trimesh]:
-    """The closed valves between atria and ventricles and the septum between the atria: thin discs."""
-    plates = [((MITRAL_MM, 3.9, 0.0), 0, (3.2, 3.6)), ((TRICUSPID_MM, -4.1, 0.0), 0, (3.3, 3.8))]
-    plates.append(((-7.6, 0.0, 0.0), 1, (3.6, 3.2)))
-    discs = []
-    for middle, axis, radii in plates:
-        half = LEAFLET_MM / 2.0 * HEART_AXES[:, axis]
-        path = _in_heart(middle) + np.stack([-half, half])
-        discs.append(tube(path, np.tile(radii, (2, 1)), 2 * sides, up=HEART_AXES[:, 1 - axis]))
-    return discs
 
 
 def _lungs(pitch_mm: float, beside_heart: sdf.Field, seed: int) -> Part:
