@@ -54,7 +54,7 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
     --------
     >>> scene = fetal_abdomen(triangles=4_000)
     >>> scene.structures[0].mesh.metadata["name"], len(scene.structures), scene.background.name
-    ('skin', 82, 'coupling_gel')
+    ('skin', 84, 'coupling_gel')
     """
     if triangles < FEWEST_TRIANGLES:
         raise ValueError(f"fetal_abdomen: triangles must be at least {FEWEST_TRIANGLES}, not {triangles}")
