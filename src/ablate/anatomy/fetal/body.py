@@ -260,7 +260,7 @@ def flesh_field(limbs: Limbs) -> sdf.Field:
 def fetal_body(scale: float, seed: int) -> Part:
     """Trunk and head as one closed solid; what is inside comes later and owns its place."""
     whole = sdf.rippled(_body_field(), seed, 0.25, 24.0)
-    return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.15 * scale, 9.75), "body and head"), "soft_tissue")
+    return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.12 * scale, 9.75), "body and head"), "soft_tissue")
 
 
 def fetal_balls(limbs: Limbs) -> np.ndarray:

@@ -11,7 +11,7 @@ from ablate.anatomy.fetal.shapes import Part, joined
 SEMILUNAR_MM = 66.0  # from the midline to the edge of the rectus, where the aponeuroses of the obliques join
 _REACH_MM = (96.0, 148.0)  # of the sheets to the sides, and up and down
 _BETWEEN_OBLIQUES = (0.38, 0.7)  # of the wall's thickness: external, internal, transverse
-_HALF_MM = 0.35  # of a sheet's thickness; more where the muscles' own grid is too coarse for this
+_HALF_MM = 0.35  # of a sheet's thickness
 
 
 def fascia(scale: float, muscle_outside: sdf.Field, muscle_inside: sdf.Field) -> list[Part]:
@@ -23,13 +23,13 @@ def fascia(scale: float, muscle_outside: sdf.Field, muscle_inside: sdf.Field) ->
     def white_lines(x: np.ndarray) -> np.ndarray:
         """How much thicker the sheath is: through the wall in the midline and at the edges of the rectus."""
         to_edge = (np.abs(x) - SEMILUNAR_MM) / 2.5
-        return 2.2 * np.exp(-((x / 6.0) ** 4)) + 5.0 * np.exp(-(to_edge**2))
+        return 3.2 * np.exp(-((x / 6.0) ** 4)) + 5.0 * np.exp(-(to_edge**2))
 
     def plain(x: np.ndarray) -> np.ndarray:
         return 0.0 * x
 
     sides, up = _REACH_MM
-    step_mm, half_mm = 5.0 * scale, _HALF_MM * max(1.0, scale / 3.0)
+    step_mm = 5.0 * scale
     edges = SEMILUNAR_MM + np.array((-4.0, -2.0, 0.0, 2.0, 4.0))
     across = [_even(-sides, sides, step_mm), np.arange(-9.0, 9.1, 3.0), edges, -edges]
     sheath = np.unique(np.concatenate(across).round(1))
@@ -37,10 +37,10 @@ def fascia(scale: float, muscle_outside: sdf.Field, muscle_inside: sdf.Field) ->
     z = _even(-up, up, 1.2 * step_mm)
     between = [_between(muscle_outside, muscle_inside, share) for share in _BETWEEN_OBLIQUES]
     sheets = {
-        "sheath of the rectus": [_sheet(muscle_outside, (sheath, z), half_mm, white_lines)],
-        "sheath behind the rectus": [_sheet(muscle_inside, (sheath, z), half_mm, plain)],
+        "sheath of the rectus": [_sheet(muscle_outside, (sheath, z), _HALF_MM, white_lines)],
+        "sheath behind the rectus": [_sheet(muscle_inside, (sheath, z), _HALF_MM, plain)],
         "fascia between the obliques": [
-            _sheet(field, (x, z), 0.7 * half_mm, plain) for field in between for x in (-beside[::-1], beside)
+            _sheet(field, (x, z), 0.7 * _HALF_MM, plain) for field in between for x in (-beside[::-1], beside)
         ],
     }
     return [Part(joined(meshes, name), "fascia") for name, meshes in sheets.items()]
