@@ -9,7 +9,7 @@ from ablate.anatomy.fetal import shapes as sdf
 from ablate.anatomy.fetal.shapes import Part, joined
 
 SEMILUNAR_MM = 66.0  # from the midline to the edge of the rectus, where the aponeuroses of the obliques join
-_REACH_MM = (96.0, 148.0)  # of the sheets to the sides, and up and down
+_REACH_MM = (96.0, 120.0)  # of the sheets to the sides, and up and down
 _BETWEEN_OBLIQUES = (0.38, 0.7)  # of the wall's thickness: external, internal, transverse
 _HALF_MM = 0.35  # of a sheet's thickness
 
