@@ -8,6 +8,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.anatomy.fetal.body import ABDOMEN_S_MM, curl, outline
+from ablate.anatomy.fetal.heart import HEART_AXES, HEART_CENTER
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
@@ -54,8 +55,6 @@ def test_muscles_of_the_thigh_are_groups(scene: Scene, mesh_of: Mesh) -> None:
 
 def test_the_heart_has_four_chambers_between_septa_and_flat_valves(scene: Scene, mesh_of: Mesh) -> None:
     """Atrium and ventricle are as near to each other beside the axis as on it; the right valve is nearer the apex."""
-    from ablate.anatomy.fetal.heart import HEART_AXES, HEART_CENTER
-
     pregnancy, chambers = draw_pregnancy(0), mesh_of(scene, "heart chambers")
     assert len(chambers.split()) == 4
 
@@ -81,7 +80,7 @@ def test_the_heart_has_four_chambers_between_septa_and_flat_valves(scene: Scene,
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_fascia_lines_the_muscles_of_the_mother(built, seed: int) -> None:
-    """Straight in beside the midline: fat, sheath, muscle, sheath; in the midline the sheaths alone."""
+    """Straight in beside the midline: fat, sheath, muscle, sheath; in the midline hardly more than the sheaths."""
     scene = built(100_000, seed)
     names = [structure.mesh.metadata["name"] for structure in scene.structures]
     wall = scene.structures[: names.index("abdominal cavity") + 1]
@@ -100,7 +99,7 @@ def test_fascia_lines_the_muscles_of_the_mother(built, seed: int) -> None:
     assert order == ["outside", "skin", "fat", "fascia", "muscle", "fascia", "soft_tissue"]
     assert 0.8 < beside_mm["fascia"] < 2.0
     _, middle_mm = layers(0.5)
-    assert middle_mm["muscle"] < 0.8
+    assert middle_mm["muscle"] < 0.2 * beside_mm["muscle"]
     assert middle_mm["fascia"] > 1.5
 
 
