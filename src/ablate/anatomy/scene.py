@@ -18,7 +18,7 @@ from ablate.storage import check_archive, written_whole
 if TYPE_CHECKING:
     import trimesh
 
-ANATOMY_VERSION = 3  # of the built-in anatomy, the tissue table and mesh repair: raised when a scene changes
+ANATOMY_VERSION = 4  # of the built-in anatomy, the tissue table and mesh repair: raised when a scene changes
 FEWEST_TRIANGLES = 4_000  # of the built-in anatomy
 
 logger = logging.getLogger(__name__)

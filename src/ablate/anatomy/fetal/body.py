@@ -1,4 +1,4 @@
-"""The fetus at 22 weeks from outside: its axes, outline and limbs, skin and muscles, and balls that about fill it.
+"""The fetus at 22 weeks from outside: its axes, outline, limbs and skin, and balls that about fill it.
 
 Fetal axes in mm: x to its left, y to its back, z to its head. Organs and bones of the trunk are built in a straight
 trunk (x, y, s) and bent forward afterwards; cross-sections at constant s keep their shape. The head has axes of its
@@ -26,6 +26,9 @@ NECK_IN_HEAD = (0.0, 10.0, -25.0)
 HEAD_FLEXION_DEG = 34.0
 TRUNK_BOX: sdf.Bounds = ((-40.0, -40.0, -75.0), (40.0, 40.0, 75.0))
 WALL_OUTSIDE_MM, WALL_INSIDE_MM = 2.6, 5.8  # depth of the muscles of the trunk under its skin
+#: Angle from the back and half width, degrees, where muscles part: spine, lumbar fascia, edge of rectus, white line.
+MUSCLE_GAPS_DEG = ((0.0, 7.0), (46.0, 5.0), (137.0, 4.5), (180.0, 5.5))
+_GAP_INSIDE_MM = 1.8  # depth there, before the muscles begin
 ABDOMEN_S_MM = -17.0  # level of the stomach, where the abdominal circumference is taken
 #: Outline of the trunk, mm: levels s, and there the half width, the half depth and the middle in y.
 _OUTLINE = np.array(
@@ -60,6 +63,16 @@ def trunk(x: np.ndarray, y: np.ndarray, s: np.ndarray) -> np.ndarray:
     slope = np.sqrt((u / width) ** 2 + (v / depth) ** 2)
     around = sdf.first_order_distance(level, slope, np.minimum(width, depth))
     return sdf.smooth_max(around, np.abs(s) - 65.0, 2.0)
+
+
+def inside_muscles(x: np.ndarray, y: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """About the distance to the inner face of the trunk's muscles, mm: they are groups with gaps, and not a ring."""
+    width, depth, middle = outline(s)
+    angle_deg = np.rad2deg(np.arctan2(np.abs(x) / width, (y - middle) / depth))
+    muscle = np.ones(np.broadcast_shapes(x.shape, y.shape, s.shape), np.float32)
+    for at_deg, half_deg in MUSCLE_GAPS_DEG:
+        muscle = np.minimum(muscle, np.clip((np.abs(angle_deg - at_deg) - half_deg) / 4.0 + 0.5, 0.0, 1.0))
+    return trunk(x, y, s) + (_GAP_INSIDE_MM + (WALL_INSIDE_MM - _GAP_INSIDE_MM) * muscle)
 
 
 def spine_y(s: np.ndarray | float) -> np.ndarray:
@@ -247,20 +260,7 @@ def flesh_field(limbs: Limbs) -> sdf.Field:
 def fetal_body(scale: float, seed: int) -> Part:
     """Trunk and head as one closed solid; what is inside comes later and owns its place."""
     whole = sdf.rippled(_body_field(), seed, 0.25, 24.0)
-    return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.15 * scale, 9.75), "body and head"), "soft_tissue")
-
-
-def limb_flesh(scale: float, seed: int, limbs: Limbs) -> list[Part]:
-    """Skin and fat, then muscles, of every limb."""
-    leg, arm = (4.0, (seed + 1, 0.2, 15.0), 1.05, 2.0), (2.0, (seed + 2, 0.12, 12.0), 0.85, 1.5)
-    kinds = {"left leg": leg, "right leg": leg, "left arm": arm, "right arm": arm}
-    skin, muscles = [], []
-    for rods, (name, (blend_mm, ripple, pitch_mm, fat_mm)) in zip(limbs.rods(), kinds.items(), strict=True):
-        field = sdf.rippled(sdf.union([sdf.capsule(*rod) for rod in rods], blend_mm), *ripple)
-        solid = sdf.solids_in(LIMBS_BOX, scale, 4.0 + 5.0 * pitch_mm)
-        skin.append(solid(field, "soft_tissue", pitch_mm, name))
-        muscles.append(solid(sdf.shrunk(field, fat_mm), "muscle", pitch_mm, f"{name} muscles"))
-    return [*skin, *muscles]
+    return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.12 * scale, 9.75), "body and head"), "soft_tissue")
 
 
 def fetal_balls(limbs: Limbs) -> np.ndarray:

@@ -11,6 +11,7 @@ from ablate.anatomy.fetal.shapes import Part, joined, unit
 from ablate.anatomy.fetal.tubes import rod, smooth_path, spindle, tube
 
 FEMUR_MM = 39.0
+FEMUR_RADIUS_MM = 2.8  # near its ends; its middle is a tenth of its length wide (assumed)
 SCAPULA_DEPTH_MM = 2.3  # of its middle under the skin
 RIB_DEPTH_MM = 4.2  # of a rib's middle under the skin
 #: Angle from the back (degrees) that each of the twelve ribs reaches.
@@ -147,7 +148,7 @@ def limb_bones(scale: float, limbs: Limbs) -> list[Part]:
             joints.append(spindle(point - lift, point + lift, (radius, radius), sides, up=(1.0, 0.0, 0.0)))
         along = unit(leg.bend - leg.root)
         start = leg.root + 4.0 * along
-        femora.append(rod(start, start + FEMUR_MM * along, 2.1, sides, 0.8))
+        femora.append(rod(start, start + FEMUR_MM * along, FEMUR_RADIUS_MM, sides, 0.3))
         others += _other_bones(side, leg, arm, sides)
     return [
         Part(joined(joints, "epiphyses"), "cartilage"),

@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 
 from ablate.anatomy.fetal import shapes as sdf
+from ablate.anatomy.fetal.fascia import SEMILUNAR_MM, fascia
 from ablate.anatomy.fetal.shapes import Part, joined, solids_in, unit
 from ablate.anatomy.fetal.tubes import smooth_path, spindle, tube
 
@@ -50,9 +51,9 @@ def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 def _muscle_inside(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Inner face of the abdominal wall, without its fat: two bellies of rectus beside a thin midline, obliques."""
     beside_midline = np.clip((np.abs(x) - 1.5) / 11.0, 0.0, 1.0)
-    belly = 6.0 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
-    at_edge = -3.2 * np.exp(-(((np.abs(x) - 66.0) / 8.0) ** 2))
-    front = (y < 40.0) * (belly + at_edge) - 5.0
+    belly = 8.5 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
+    at_edge = -5.5 * np.exp(-(((np.abs(x) - SEMILUNAR_MM) / 8.0) ** 2))
+    front = (y < 40.0) * (belly + at_edge) - 7.5
     return torso(x, y, z) + (SKIN_MM + MUSCLE_MM + front * np.exp(-np.maximum(y + 60.0, 0.0) / 40.0))
 
 
@@ -124,6 +125,7 @@ def mother(scale: float, uterus: Uterus) -> list[Part]:
         solid(sdf.rippled(sdf.shrunk(torso, SKIN_MM), seed + 4, 0.12, 40.0), "fat", 4.4, "subcutaneous fat"),
         solid(fat_inside, "muscle", 4.2, "abdominal wall"),
         solid(muscle_inside, "soft_tissue", 4.0, "abdominal cavity"),
+        *fascia(scale, fat_inside, muscle_inside),
         *_back(scale, seed),
         *_bowel(scale, uterus),
         solid(outer, "uterine_wall", 2.4, "uterus"),

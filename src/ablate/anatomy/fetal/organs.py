@@ -4,9 +4,19 @@ import numpy as np
 import trimesh
 
 from ablate.anatomy.fetal import shapes as sdf
-from ablate.anatomy.fetal.body import SIDES, TRUNK_BOX, WALL_INSIDE_MM, WALL_OUTSIDE_MM, above_diaphragm, spine_y, trunk
+from ablate.anatomy.fetal.body import (
+    SIDES,
+    TRUNK_BOX,
+    WALL_INSIDE_MM,
+    WALL_OUTSIDE_MM,
+    above_diaphragm,
+    inside_muscles,
+    spine_y,
+    trunk,
+)
+from ablate.anatomy.fetal.heart import heart, heart_muscle
 from ablate.anatomy.fetal.shapes import Part, Vector, joined, solids_in
-from ablate.anatomy.fetal.tubes import interpolated, smooth_path, spindle, tube
+from ablate.anatomy.fetal.tubes import interpolated, smooth_path, tube
 
 #: x, y and s of the umbilical vein, from the navel into the liver, where it turns to the right (the portal sinus).
 UMBILICAL_VEIN = (
@@ -14,17 +24,11 @@ UMBILICAL_VEIN = (
     (-24.5, -19.5, -14.0, -8.5, -3.8, -1.2, -0.8, -2.2),
     (-27.0, -20.5, -17.4, -16.8, -16.8, -16.9, -17.2, -17.6),
 )
-HEART_CENTER = np.array([2.6, -3.6, 17.0])
-#: The heart's axes as columns: to the apex (left, forward, down), to its left, and up; made orthonormal.
-HEART_TOWARDS = np.array([[0.64, 0.62, 0.2], [-0.70, 0.76, 0.0], [-0.26, 0.05, 1.0]])
-HEART_AXES = np.linalg.qr(HEART_TOWARDS)[0]
 HEAD_BOX: sdf.Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
 SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge
-SKULL_MM = 1.3
+SKULL_MM = 0.8
 FALX_MM = 1.0
 EYE_CENTER = (11.8, -31.0, -17.5)  # of the left one
-
-HEART_AXES *= np.sign((HEART_AXES * HEART_TOWARDS).sum(axis=0))
 
 
 def fetal_belly(scale: float, seed: int) -> list[Part]:
@@ -33,11 +37,11 @@ def fetal_belly(scale: float, seed: int) -> list[Part]:
     pylorus = sdf.capsule((12.0, -2.0, -17.0), (5.5, -5.0, -20.0), 4.6, 2.6)
     stomach = sdf.union([sdf.ellipsoid((12.5, 2.5, -14.5), (6.0, 7.0, 7.5)), pylorus], 3.0)
     stomach = sdf.rippled(stomach, seed + 1, 0.3, 14.0)
-    belly = sdf.intersection([sdf.shrunk(trunk, WALL_INSIDE_MM), sdf.outside(above_diaphragm(-0.6))], 2.0)
-    belly = sdf.rippled(belly, seed + 11, 0.6, 15.0)  # so that the layers of the wall are not rings
+    below = sdf.outside(above_diaphragm(-0.6))
+    belly = sdf.rippled(sdf.intersection([inside_muscles, below], 2.0), seed + 11, 0.35, 15.0)
     liver = sdf.intersection(
         [
-            sdf.shrunk(belly, 0.7),
+            sdf.rippled(sdf.shrunk(trunk, WALL_INSIDE_MM + 0.7), seed + 11, 0.35, 15.0),
             sdf.outside(above_diaphragm(-1.6)),
             sdf.half_space((-0.45, -0.10, 0.89), -20.0),
             sdf.outside(sdf.ellipsoid((0.0, 21.0, -10.0), (9.0, 11.0, 62.0))),
@@ -94,44 +98,12 @@ def fetal_chest(scale: float, seed: int) -> list[Part]:
     """The organs of the chest, outermost first."""
     solid = solids_in(TRUNK_BOX, scale, 7.0)
     below_neck = sdf.half_space((0.0, 0.0, -1.0), -39.0)
-    room = sdf.intersection([sdf.shrunk(trunk, WALL_INSIDE_MM), above_diaphragm(0.6), below_neck], 2.0)
-    chambers = _chambers()
-    walls_mm = (2.8, 2.3, 1.7, 1.7)  # of the heart, thickest around the left ventricle
-    walls = [sdf.shrunk(chamber, -wall_mm) for chamber, wall_mm in zip(chambers, walls_mm, strict=True)]
-    myocardium = sdf.rippled(sdf.union(walls, 4.0), seed, 0.12, 14.0)
-    heart = sdf.intersection([myocardium, sdf.shrunk(trunk, WALL_INSIDE_MM + 0.4)], 1.0)
-    blood = [sdf.rippled(chamber, seed + 60, 0.06, 9.0) for chamber in chambers]
-    band = spindle(_in_heart((3.9, -0.8, -0.5)), _in_heart((3.4, -7.4, 0.5)), (0.6, 0.8), max(4, round(10 / scale)))
+    room = sdf.intersection([inside_muscles, above_diaphragm(0.6), below_neck], 2.0)
     return [
         solid(room, "soft_tissue", 1.0, "mediastinum"),
-        _lungs(min(0.85 * scale, 7.0), sdf.outside(sdf.shrunk(heart, -1.0)), seed + 2),
-        solid(heart, "myocardium", 0.65, "heart"),
-        sdf.several("blood", "heart chambers", blood, TRUNK_BOX, min(0.5 * scale, 1.6)),
-        Part(joined([band], "moderator band"), "myocardium"),
+        _lungs(min(0.85 * scale, 7.0), sdf.outside(sdf.shrunk(heart_muscle(seed), -1.0)), seed + 2),
+        *heart(scale, seed),
         *_great_vessels(scale),
-    ]
-
-
-def _in_heart(point: tuple[float, float, float]) -> np.ndarray:
-    """A point given to the apex, to the heart's left and up, in the straight trunk."""
-    return HEART_CENTER + HEART_AXES @ np.array(point)
-
-
-def _chambers() -> list[sdf.Field]:
-    """Two ventricles and two atria; what is left between them are septa and valves.
-
-    The left ventricle reaches farther to the apex, the right one's valve lies nearer to it.
-    """
-
-    def ventricle(base: tuple[float, float], apex: tuple[float, float], radii: tuple[float, float]) -> sdf.Field:
-        halves = [sdf.capsule(_in_heart((*base, up)), _in_heart((*apex, up)), *radii) for up in (-1.2, 1.2)]
-        return sdf.union(halves, 2.0)
-
-    return [
-        ventricle((-1.2, 4.2), (8.0, 1.7), (3.2, 1.8)),
-        ventricle((-0.2, -4.5), (6.0, -3.6), (3.2, 1.9)),
-        sdf.ellipsoid(_in_heart((-8.5, 3.9, 0.0)), (3.3, 3.5, 4.0), HEART_AXES),
-        sdf.ellipsoid(_in_heart((-7.8, -4.1, 0.0)), (3.5, 3.7, 4.2), HEART_AXES),
     ]
 
 
