@@ -78,8 +78,8 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 view: $(STAMP) ## the probe in your hand, on http://127.0.0.1:8090; ARGS="scene=folder scene.folder=path runs=runs/quick-fetal"
 	$(BIN)/python -m ablate task=view $(ARGS)
 
-bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans; AGAINST=checkout
-	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE)) $(if $(AGAINST),--against $(AGAINST))
+bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; AGAINST=checkout
+	$(BIN)/python benchmarks/simulator.py $(if $(AGAINST),--against $(AGAINST))
 
 bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 and 24 GiB
 	$(BIN)/python benchmarks/scaling.py $(ARGS)
@@ -90,8 +90,8 @@ precision: $(STAMP) ## measure docs/numerics.md again; RUNS=folder of trained ru
 bench-inference: $(STAMP) ## ms and memory of a generated frame by engine, precision and width; ARGS="--variant lsa2h --size 250 346"
 	$(BIN)/python benchmarks/inference.py $(ARGS)
 
-bench-metrics: $(STAMP) ## what scoring costs: each metric, and an evaluation of the paper's 669 test frames
-	$(BIN)/python benchmarks/metrics.py $(FRAMES)
+bench-metrics: $(STAMP) ## what scoring a frame costs, metric by metric
+	$(BIN)/python benchmarks/metrics.py
 
 bench-training: $(STAMP) ## images a second of a training against a plain loop; ARGS="--variants sa2h --threads 1 --rounds 10"
 	PYTHONPATH=tests $(BIN)/python benchmarks/training.py $(ARGS)

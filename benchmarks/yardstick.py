@@ -1,16 +1,12 @@
-"""Fixed pieces of work that are timed in turns with what a benchmark measures, and a process that keeps a core busy.
+"""Fixed pieces of work that are timed in turns with what a benchmark measures.
 
 Milliseconds of two machines, or of one machine on two days, do not compare. Their ratios to the same convolution and to
 the same loop do, as far as these are what the work consists of: networks are convolutions, and the rest is mostly
 bound by memory and by Python.
 """
 
-import os
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from statistics import median
 
 import torch
@@ -22,7 +18,6 @@ ABOUT = (
     f"conv: times a 3 x 3 convolution of {CHANNELS} maps of {SIDE} x {SIDE} to as many, fp32, one thread; loop: times "
     f"{ADDITIONS:,} additions in Python. Both are taken in turns with what is measured; medians of ratios."
 )
-_BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    for _ in range(10**6):\n        pass\n"
 
 
 class Yardstick:
@@ -82,14 +77,3 @@ def milliseconds(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
     return 1e3 * (time.perf_counter() - start)
-
-
-@contextmanager
-def busy_core() -> Iterator[None]:
-    """Keep one core busy with another process; it ends with the block, or with this process."""
-    process = subprocess.Popen([sys.executable, "-S", "-c", _BUSY], env={**os.environ, "PYTHONPATH": ""})
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
