@@ -4,13 +4,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import torch
 
 from ablate.analysis import RESIMULATION, observed_order
 from ablate.metrics import metric_of
-from ablate.metrics.metric import FORMULA
 from ablate.numerics.precision.bench import (
     OTHER_SERIES,
     RAYS_SERIES,
@@ -40,11 +38,6 @@ WELL_CONVERGED = 0.05
 POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`, before those of intervals
 OF_FRAMES = ["series", "setting", "metric", "frame", "error"]  # of `frames.csv`
 DETAILS = ["table", "series", "setting", "quantity", "value"]  # and of `details.csv`
-BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
-# Kinds of renderers in the table of budgets.
-_SAME = "simulator, same speckle"
-_OTHER = "simulator, other speckle"
-_RUN = "trained run"
 
 
 def precision(jobs: Sequence[Job]) -> int:
@@ -152,8 +145,6 @@ def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFram
     def rows_of(table: str) -> pd.DataFrame:
         return details[details["table"] == table]
 
-    stages = rows_of("stage")
-    simulated = stages["series"].str.startswith("simulator")
     halved = f"By how much halving the reference's {REFERENCE_RAYS} rays moves these errors"
     grids = "Error of a grid to a finer one, and of another draw of the speckle on that"
     limits = "Single precision, bf16 and engines: how far they move a frame"
@@ -170,10 +161,8 @@ def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFram
         halved: _spread_out(rows_of("reference"), lambda _, share: f"{share:.1%}"),
         "Observed order p, error ~ rays^-p": pd.DataFrame(fits, ["p", "standard error"]).T.rename_axis("error"),
         grids: _spread_out(rows_of("convergence"), _cell),
-        limits: _spread_out(_worst(rows_of("limit")), lambda _, value: f"{value:.2g}"),
-        "The best within a budget": _budgets(points),
-        "Stages of a simulated frame, ms": _stages(stages[simulated]),
-        "Stages of a generated frame, ms": _stages(stages[~simulated]).T,
+        limits: _spread_out(rows_of("limit"), lambda _, value: f"{value:.2g}"),
+        "Stages of a generated frame, ms": _stages(rows_of("stage")),
     }
     return {heading: table for heading, table in by_heading.items() if len(table)}
 
@@ -196,52 +185,8 @@ def _spread_out(rows: pd.DataFrame, show: Callable[[str, float], str]) -> pd.Dat
     return wide.rename_axis(columns=None)
 
 
-def _worst(limits: pd.DataFrame) -> pd.DataFrame:
-    """Keep, for each precision and engine, the largest error over the trained runs; the simulator's rows stay."""
-    runs = limits[~limits["series"].str.startswith("simulator")]
-    if runs.empty:
-        return limits
-    way = runs["setting"].str.extract(r"(\w+, \w+), seed", expand=False)
-    badness_of = [metric_of(m).badness(v) for m, v in zip(runs["quantity"], runs["value"].astype(float), strict=True)]
-    ranked = runs.assign(way=way, badness=badness_of).sort_values("badness", ascending=False, kind="stable")
-    worst = ranked.drop_duplicates(["way", "quantity"]).sort_index()
-    count = way[runs["quantity"] == runs["quantity"].iloc[0]].value_counts()
-    series = [f"trained runs against fp32 eager, worst of {count[w]}" for w in worst["way"]]
-    rows = worst.assign(series=series, setting=worst["way"]).sort_values("way", kind="stable")
-    return pd.concat([limits.drop(runs.index), rows[limits.columns]])
-
-
-def _budgets(points: pd.DataFrame) -> pd.DataFrame:
-    """Find the best within each budget; only renderers with speckle of their own are compared with each other."""
-    finite = points[np.isfinite(points["error"]) & (points["series"] != FORMULA)]
-    badness_of = [metric_of(m).badness(e) for m, e in zip(finite["metric"], finite["error"], strict=True)]
-    kinds = finite["series"].where(finite["series"].str.startswith("simulator"), _RUN)
-    kinds = kinds.mask(kinds == OTHER_SERIES, _OTHER).where(kinds.isin((_RUN, OTHER_SERIES)), _SAME)
-    ranked = finite.assign(badness=badness_of, kind=kinds)
-    ranked = ranked.sort_values(["badness", "ms"], kind="stable")  # of equal ones the fastest
-    rows = []
-    for metric in dict.fromkeys(points["metric"]):
-        of_metric = ranked[ranked["metric"] == metric]
-        comparable = {_OTHER, _RUN} <= set(of_metric["kind"])  # a trained run has no envelope
-        for budget in BUDGETS_MS:
-            best = of_metric[of_metric["ms"] <= budget].drop_duplicates("kind").set_index("kind")
-            cells = dict.fromkeys((_SAME, _OTHER, _RUN), "")
-            for kind, row in best.iterrows():
-                name = f"{row['series']}: {row['setting']}".replace("simulator, ", "").replace("other scatterers: ", "")
-                cells[str(kind)] = f"{_cell(metric, row['error'])} ({name})"
-            rivals = best.index.intersection([_OTHER, _RUN]) if comparable else []
-            better = "not compared" if len(best) else "none is that fast"
-            if len(rivals):
-                better = str(best.loc[rivals, "badness"].idxmin()).removesuffix(", other speckle")
-            rows.append({"metric": metric_of(metric).title, "ms": f"{budget:g}", **cells, "better": better})
-    return pd.DataFrame(rows).set_index(["metric", "ms"])
-
-
 def _stages(stages: pd.DataFrame) -> pd.DataFrame:
-    """Pivot to a row for each stage, and a column for each simulator setting or network."""
-    if stages.empty:
-        return pd.DataFrame()
-    series = stages["series"].str.replace(RAYS_SERIES, "rays", regex=False)
-    named = stages.assign(renderer=series + " " + stages["setting"], value=stages["value"].astype(float))
-    wide = named.pivot_table(index="quantity", columns="renderer", values="value", sort=False)
-    return wide.map(lambda v: "" if pd.isna(v) else f"{v:.1f}").rename_axis("", axis=1).rename_axis("")
+    """Pivot to a row for each network and setting, and a column for each of its maps and for the network."""
+    shown = stages.assign(value=[f"{float(ms):.1f}" for ms in stages["value"]])
+    wide = shown.pivot_table("value", ["series", "setting"], "quantity", "first", fill_value="", sort=False)
+    return wide.rename_axis(columns=None)
