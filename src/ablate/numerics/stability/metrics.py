@@ -8,7 +8,6 @@ import numpy as np
 from scipy.linalg import eigvals
 
 from ablate import metrics
-from ablate.metrics.features import GRADIENT_UNIT
 from ablate.numerics.stability.checks import FLOAT32, FLOAT64, Checks, case, off
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
@@ -125,37 +124,3 @@ def _frechet(checks: Checks) -> None:
     distances = np.array([*(distance(alike, alike) for distance in DISTANCES), *interval])
     checks.finite(distances, what="distances")
     checks.add("largest distance", np.abs(distances).max(), 64 * FLOAT64 * 8, "All samples are the same.")
-
-
-@case("distances of features of every scale")
-def _scales(checks: Checks) -> None:
-    """Features of 1e-30 and 1e30, with an offset of 1e8, with deviations over ten decades, and too large to square."""
-    random = np.random.default_rng(1)
-    x = random.normal(size=(50, 6))
-    y = random.normal(size=(40, 6)) * 1.3 + 0.4
-    right = metrics.frechet_distance(x, y)
-    for scale in (2.0**-100, 2.0**100):
-        error = abs(metrics.frechet_distance(x * scale, y * scale) / scale**2 / right - 1)
-        checks.add(f"scale {scale:.1e}: relative", error, 64 * FLOAT64, "The distance is of second degree.")
-    offset = 1e8
-    why = "The offset rounds the features to 10^8 2^-53."
-    error = abs(metrics.frechet_distance(x + offset, y + offset) / right - 1)
-    checks.add("offset 1e8: relative", error, 64 * offset * FLOAT64, why)
-    deviations = np.logspace(-5, 5, 6)
-    why = "No covariance is formed, in which large entries would hide small ones."
-    error = metrics.frechet_distance(x * deviations, x * deviations) / deviations[-1] ** 2
-    checks.add("ten decades: of a set to itself, of its variance", error, 64 * 6 * FLOAT64, why)
-    large = product(DISTANCES, (1e60, 1e200, np.nan, np.inf))
-    checks.refused(*(partial(distance, x * value, y) for distance, value in large))
-
-
-@case("texture of one grey and of a checkerboard")
-def _textures(checks: Checks) -> None:
-    """Texture features of constant images, of a single white pixel, of a checkerboard and of noise."""
-    single = np.pad(WHITE[:1, :1], ((24, SHAPE[0] - 25), (24, SHAPE[1] - 25)))
-    features = metrics.speckle_features(np.stack([BLACK, WHITE, single, CHECKERBOARD, NOISE[3]]))
-    checks.finite(features, what="features")
-    why = "The mean gradient of a checkerboard is 255 grey levels, which is the largest feature."
-    checks.add("largest feature", np.abs(features).max(), 255 / GRADIENT_UNIT, why)
-    excess = metrics.evaluate_image(metrics.Pair(CHECKERBOARD, BLACK, FAN))["nyquist_excess"]
-    checks.finite(np.array(excess), what="checkerboard: excess", dtype="float32")
