@@ -72,26 +72,9 @@ def through(sizes: list[float], memory: list[float], power: float) -> Growth:
 
 
 def ball(centre_mm: tuple[float, float, float], radius_mm: float, triangles: int) -> trimesh.Trimesh:
-    """A closed sphere of rings and segments, of nearly so many triangles."""
-    rings = max(3, round(math.sqrt(triangles / 4)))
-    segments = 2 * rings
-    polar, turn = np.linspace(0, np.pi, rings + 1)[1:-1], np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    belt = np.stack(
-        [np.outer(np.sin(polar), f(turn)) for f in (np.cos, np.sin)] + [np.outer(np.cos(polar), np.ones(segments))], -1
-    )
-    points = np.concatenate([belt.reshape(-1, 3), [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]])
-    here = np.arange((rings - 2) * segments).reshape(rings - 2, segments)
-    right = np.roll(here, -1, axis=1)
-    below, below_right = here + segments, right + segments
-    first, last = np.arange(segments), np.arange(segments) + (rings - 2) * segments
-    top, bottom = len(points) - 2, len(points) - 1
-    faces = [
-        np.stack([here, below, below_right], -1).reshape(-1, 3),
-        np.stack([here, below_right, right], -1).reshape(-1, 3),
-        np.stack([np.full(segments, top), first, np.roll(first, -1)], -1),
-        np.stack([np.full(segments, bottom), np.roll(last, -1), last], -1),
-    ]
-    return trimesh.Trimesh(points * radius_mm + centre_mm, np.concatenate(faces), process=False)
+    """A sphere of rings and segments, of nearly so many triangles."""
+    rings = max(3, round(math.sqrt(triangles / 8)))
+    return trimesh.creation.uv_sphere(radius_mm, count=(rings, 2 * rings)).apply_translation(centre_mm)
 
 
 def balls(triangles: int) -> Scene:

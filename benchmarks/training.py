@@ -60,8 +60,6 @@ def drawn_pairs(folder: Path, shape: tuple[int, int]) -> None:
 
 def settings_of(arguments: argparse.Namespace) -> StudySettings:
     """What `preset=...` composes to for a variant, with what is asked for otherwise."""
-    sizes = {"model.width": arguments.width, "training.batch_size": arguments.batch, "training.crop": arguments.crop}
-    sizes["training.precision"] = arguments.precision
     image_space = {
         "space": "image",
         "attenuation": "integral",
@@ -71,8 +69,8 @@ def settings_of(arguments: argparse.Namespace) -> StudySettings:
     }
     if "att" in arguments.variants[0]:
         del image_space["attenuation"]
-    given = [f"{key}={value}" for key, value in sizes.items() if value is not None]
-    given += ["encoding=echogenicity", *(f"model.{key}={value}" for key, value in image_space.items())]
+    given = [f"training.precision={arguments.precision}", "encoding=echogenicity"]
+    given += [f"model.{key}={value}" for key, value in image_space.items()]
     (job,) = jobs_of([f"preset={arguments.preset}", f"variant={arguments.variants[0]}", *given])
     rounds, device, threads = arguments.rounds + WARM_UP, arguments.device, arguments.threads[0]
     training = replace(
@@ -175,9 +173,6 @@ def main() -> None:
     parser.add_argument("--forwards", type=int, choices=(1, 2), default=2, help="of the plain generator a step")
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--precision", default="auto", choices=list(TrainingPrecision))
-    parser.add_argument("--width", type=float, help="of the networks, if not the preset's")
-    parser.add_argument("--batch", type=int)
-    parser.add_argument("--crop", type=int)
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
     parser.add_argument("--side", choices=("ours", "plain"), help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
