@@ -78,7 +78,7 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 view: $(STAMP) ## the probe in your hand, on http://127.0.0.1:8090; ARGS="scene=folder scene.folder=path runs=runs/quick-fetal"
 	$(BIN)/python -m ablate task=view $(ARGS)
 
-bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; AGAINST=checkout
+bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage; AGAINST=checkout
 	$(BIN)/python benchmarks/simulator.py $(if $(AGAINST),--against $(AGAINST))
 
 bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 and 24 GiB

@@ -1,4 +1,4 @@
-"""Milliseconds of a simulated frame: by stage, as each size grows, and what the plan saves; medians.
+"""Milliseconds of a simulated frame, also by stage, its memory, and what the plan saves; medians.
 
 make bench-simulator
 make bench-simulator AGAINST=path/to/checkout  # only how long a frame takes, against another checkout
@@ -11,7 +11,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -125,31 +124,6 @@ def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
     table("**Stages** of S, A and H, ms, 1 thread.", ("stage", "ms"), rows)
 
 
-def growth(poses: list[np.ndarray], scene: Scene) -> None:
-    """How the time of S, A and H grows with each size, all others as in the paper."""
-    few = some(poses, 6)
-
-    def frame(settings: SimulatorSettings) -> str:
-        return f"{milliseconds(Simulator(scene, settings=settings).render, few):.0f}"
-
-    sizes: dict[str, tuple[int, ...]] = {
-        "rays": (1, 2, 4, 8, 16, 32, 64, 128),
-        "layers": (1, 3, 5),
-        "scanlines": (48, 96, 192, 384),
-        "axial_samples": (768, 1536, 3072, 6144),
-        "compound_angles": (1, 3, 5, 7, 9),
-    }
-    for name, values in sizes.items():
-        times = tuple(frame(replace(SimulatorSettings(), **{name: value})) for value in values)
-        table(f"**{name}**, ms.", tuple(map(str, values)), [times])
-    triangles, times = [], []
-    for wanted in (20_000, 100_000, 300_000, 1_000_000):
-        other = fetal_abdomen(triangles=wanted)
-        triangles.append(f"{sum(len(s.mesh.faces) for s in other.structures):,}")
-        times.append(f"{milliseconds(Simulator(other).render, few):.0f}")
-    table("**triangles**, ms.", tuple(triangles), [tuple(times)])
-
-
 def plan(scene: Scene, poses: list[np.ndarray]) -> None:
     """The planned simulator against the full one, in turns; the spread is that of the frames' ratios."""
     full = Simulator(scene, settings=SimulatorSettings(plan=PlanMode.full), poses=poses)
@@ -228,7 +202,6 @@ def main() -> None:
     torch.set_num_threads(threads)
     memory(scene, poses)
     plan(scene, some(all_poses, 6))
-    growth(all_poses, scene)
 
 
 if __name__ == "__main__":

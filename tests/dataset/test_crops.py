@@ -2,7 +2,6 @@
 
 import hashlib
 import threading
-import tracemalloc
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -234,22 +233,6 @@ def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: P
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(DamagedShardError, match=r"'target' of frames 3 to 5.*task=simulate"):
         list(CropLoader(crops(replace(made, probe=PROBE, simulator=SIMULATED), in_memory_bytes=0), 0, 50, 2))
-
-
-def test_memory_stays_flat(pairs: Pairs) -> None:
-    """60 batches of 3 MiB through two workers; a leak of one crop in thirty would show.
-
-    What Python and NumPy allocate is measured, because the process may have been grown by other tests.
-    """
-    peaks = []
-    batches = Crops(pairs, np.arange(FRAMES), frozenset({"attenuation"}), VALUES, CropSettings(256, 3), 0)
-    tracemalloc.start()
-    for step, _ in enumerate(CropLoader(batches, 0, 91, 2)):
-        if step % 30 == 29:
-            peaks.append(tracemalloc.get_traced_memory()[1])
-            tracemalloc.reset_peak()
-    tracemalloc.stop()
-    assert peaks[2] - peaks[0] < 4 * 2**20
 
 
 def test_what_cannot_be_cropped_is_refused(pairs: Pairs) -> None:
