@@ -5,10 +5,6 @@ make bench-simulator AGAINST=path/to/checkout  # only how long a frame takes, ag
 """
 
 import argparse
-import pickle
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,7 +20,7 @@ from ablate.study.provenance import hardware
 from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 from turns import HERE, Case, in_turns
-from yardstick import ABOUT, Yardstick
+from yardstick import ABOUT, Yardstick, in_own_process, peak_gib
 
 POSES = 12
 REPEATS = 3
@@ -155,29 +151,20 @@ def _fresh(poses: list[np.ndarray], turn: int) -> list[np.ndarray]:
     return moved
 
 
-_CHILD = """
-import pickle, sys
-from ablate.ultrasound import Simulator
-with open(sys.argv[1], "rb") as file:
-    scene, poses = pickle.load(file)
-def peak():  # of this program; getrusage would count what its parent had
-    with open("/proc/self/status") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith("VmHWM")) / 2**20
-before = peak()
-simulator = Simulator(scene)
-for pose in poses:
-    simulator.render(pose)
-print(f"{peak():.2f} GiB, of which {before:.2f} are Python, torch and the scene")
-"""
-
-
 def memory(scene: Scene, poses: list[np.ndarray]) -> None:
     """Peak memory of a process that loads a built scene and renders frames."""
-    with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
-        pickle.dump((scene, poses[:4]), file)
-        file.flush()
-        done = subprocess.run([sys.executable, "-c", _CHILD, file.name], check=True, capture_output=True, text=True)
-    print(f"\n**Peak memory** of one process, scene already built: {done.stdout.strip()}.")
+    before, peak = in_own_process(_peaks, scene, poses[:4])
+    text = f"{peak:.2f} GiB, of which {before:.2f} are Python, torch and the scene"
+    print(f"\n**Peak memory** of one process, scene already built: {text}.")
+
+
+def _peaks(scene: Scene, poses: list[np.ndarray]) -> tuple[float, float]:
+    """GiB before and after frames are rendered."""
+    before = peak_gib()
+    simulator = Simulator(scene)
+    for pose in poses:
+        simulator.render(pose)
+    return before, peak_gib()
 
 
 def main() -> None:

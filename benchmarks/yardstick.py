@@ -7,11 +7,16 @@ bound by memory and by Python.
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
 from statistics import median
+from typing import TypeVar
 
 import torch
 from torch.nn import functional as F
 
+T = TypeVar("T")
 CHANNELS, SIDE = 32, 192  # of the maps that 3 x 3 filters are convolved with: 0.7 GFLOP
 ADDITIONS = 200_000  # of the loop
 ABOUT = (
@@ -77,3 +82,15 @@ def milliseconds(work: Callable[[], object]) -> float:
     start = time.perf_counter()
     work()
     return 1e3 * (time.perf_counter() - start)
+
+
+def in_own_process(work: Callable[..., T], *arguments: object) -> T:
+    """What a function of a module gives for these arguments in a new process, so that the peak of memory is its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
+
+
+def peak_gib() -> float:
+    """Largest resident memory of this process so far; getrusage would count what its parent had."""
+    with Path("/proc/self/status").open() as file:
+        return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
