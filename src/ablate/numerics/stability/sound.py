@@ -187,17 +187,6 @@ def _anechoic(checks: Checks) -> None:
             checks.add("largest sample", frame.envelope.max(), 0, "There is no scatterer.")
 
 
-@case("scatterers of large mean and little variance")
-def _steady(checks: Checks) -> None:
-    """Scatterers whose mean is a million times their deviation: the mean gives no speckle."""
-    steady = replace(SOFT, scatterer_density=1.0, scatterer_mean=1e3, scatterer_sd=1e-3)
-    plain = checks.both(Scene((), replace(steady, scatterer_mean=0.0), "plain"))
-    frames = checks.both(Scene((), steady, "steady"))
-    for checks.dtype, frame in frames.items():
-        why = "Speckle is made from s - E s, which does not depend on the mean."
-        checks.same_envelope("against scatterers of mean 0, of the largest", frame, plain[checks.dtype], why)
-
-
 _IN_BONE = Scene((slab(BONE, -50.0, 200.0, 600.0),), GEL, "bone")
 _BESIDE = Scene((slab(SOFT, -50.0, -10.0),), GEL, "past")
 
