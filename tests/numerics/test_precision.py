@@ -320,6 +320,6 @@ def test_each_row_of_a_table_has_its_own_time() -> None:
     """Rows are sorted as text, and times were once in the order in which they were measured."""
     timed = {("second: sa2h", "exported"): 30.0, ("first: sa2h", "exported"): 23.0, ("first: sa2h", "eager"): 20.0}
     rows = [(*where, ms, "mae", 5.0) for where, ms in timed.items()]
-    errors = module.tables(pd.DataFrame(rows, columns=module.POINTS), pd.DataFrame(columns=module.DETAILS))
+    errors = module.tables(pd.DataFrame(rows, columns=module.POINTS))
     shown = errors["Error to the reference"]["ms"]
     assert {where: float(shown.loc[where]) for where in timed} == timed

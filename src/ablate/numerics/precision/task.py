@@ -1,7 +1,7 @@
 """`task=precision`: measure, draw, print, and log everything to an MLflow run."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -97,10 +97,13 @@ def _report(
     """Write and print the tables, draw the figures, publish both, and return the paths of the files except PDFs."""
     for name, table in measured.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    errors, more = measured["precision"], measured["details"]
+    errors = measured["precision"]
     figures, level = draw(errors, bench.simulator.rays, folder, hardware())
-    shown = tables(errors, more)
-    head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
+    shown = tables(errors)
+    head = [
+        verdict(measured["details"]),
+        f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items()),
+    ]
     print("\n".join([*head, "", as_text(shown), ""]))
     summary = folder / "summary.txt"
     write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
@@ -136,57 +139,29 @@ def verdict(details: pd.DataFrame) -> str:
     )
 
 
-def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Make every table of the summary by its heading, with cells as text; tables without rows are left out.
+def tables(points: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Make the tables of the summary by their headings, with cells as text; one without rows is left out.
 
-    `points` has the columns series, setting, ms, metric, error; `details` table, series, setting, quantity, value.
+    `points` has the columns series, setting, ms, metric, error. The rest is in `details.csv`.
     """
-
-    def rows_of(table: str) -> pd.DataFrame:
-        return details[details["table"] == table]
-
-    halved = f"By how much halving the reference's {REFERENCE_RAYS} rays moves these errors"
-    grids = "Error of a grid to a finer one, and of another draw of the speckle on that"
-    limits = "Single precision, bf16 and engines: how far they move a frame"
-    shown = points[points["series"] != OTHER_SERIES].rename(columns={"metric": "quantity", "error": "value"})
-    errors = _spread_out(shown, _cell)
+    shown = points[points["series"] != OTHER_SERIES]
+    named = shown.assign(
+        title=shown["metric"].map(lambda name: metric_of(name).title),
+        cell=[f"{e:.{metric_of(m).decimals}f}" for m, e in zip(shown["metric"], shown["error"], strict=True)],
+    )
+    errors = named.pivot_table("cell", ["series", "setting"], "title", "first", fill_value="", sort=False)
+    errors = errors.rename_axis(columns=None)
     ms = shown.groupby(["series", "setting"])["ms"].first()
     errors.insert(0, "ms", ms.reindex(errors.index).map("{:.1f}".format))
     fits = {
         "RMS error of the image" if metric == "psnr" else metric_of(metric).label: (f"{p:.2f}", f"{error:.2f}")
         for metric, (p, error) in _orders(points).items()
     }
-    by_heading = {
-        "Error to the reference": errors,
-        halved: _spread_out(rows_of("reference"), lambda _, share: f"{share:.1%}"),
-        "Observed order p, error ~ rays^-p": pd.DataFrame(fits, ["p", "standard error"]).T.rename_axis("error"),
-        grids: _spread_out(rows_of("convergence"), _cell),
-        limits: _spread_out(rows_of("limit"), lambda _, value: f"{value:.2g}"),
-        "Stages of a generated frame, ms": _stages(rows_of("stage")),
-    }
+    orders = pd.DataFrame(fits, ["p", "standard error"]).T.rename_axis("error")
+    by_heading = {"Error to the reference": errors, "Observed order p, error ~ rays^-p": orders}
     return {heading: table for heading, table in by_heading.items() if len(table)}
 
 
 def as_text(tables: dict[str, pd.DataFrame]) -> str:
     """Print tables for a console, each under its heading, never truncated."""
     return "\n\n".join(f"{heading}\n\n{table.to_string()}" for heading, table in tables.items())
-
-
-def _cell(metric: str, value: float) -> str:
-    return f"{value:.{metric_of(metric).decimals}f}"
-
-
-def _spread_out(rows: pd.DataFrame, show: Callable[[str, float], str]) -> pd.DataFrame:
-    """Pivot to a row for each series and setting, and a column for each metric."""
-    titles = rows["quantity"].map(lambda q: metric_of(q).title)
-    cells = [show(q, float(v)) for q, v in zip(rows["quantity"], rows["value"], strict=True)]
-    named = rows.assign(title=titles, cell=cells)
-    wide = named.pivot_table("cell", ["series", "setting"], "title", "first", fill_value="", sort=False)
-    return wide.rename_axis(columns=None)
-
-
-def _stages(stages: pd.DataFrame) -> pd.DataFrame:
-    """Pivot to a row for each network and setting, and a column for each of its maps and for the network."""
-    shown = stages.assign(value=[f"{float(ms):.1f}" for ms in stages["value"]])
-    wide = shown.pivot_table("value", ["series", "setting"], "quantity", "first", fill_value="", sort=False)
-    return wide.rename_axis(columns=None)
