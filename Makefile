@@ -11,7 +11,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep quick test-random answer answer-anew docs notebooks test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
+.PHONY: help sweep quick test-random answer answer-anew docs notebooks test test-all check lint ui precision bench-simulator bench-metrics bench-scaling bench-inference bench-training bench-viewer view chaos
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -78,11 +78,8 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 view: $(STAMP) ## the probe in your hand, on http://127.0.0.1:8090; ARGS="scene=folder scene.folder=path runs=runs/quick-fetal"
 	$(BIN)/python -m ablate task=view $(ARGS)
 
-bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans; AGAINST=checkout
-	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE)) $(if $(AGAINST),--against $(AGAINST))
-
-bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
-	$(BIN)/python benchmarks/dataset.py
+bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage; AGAINST=checkout
+	$(BIN)/python benchmarks/simulator.py $(if $(AGAINST),--against $(AGAINST))
 
 bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 and 24 GiB
 	$(BIN)/python benchmarks/scaling.py $(ARGS)
@@ -93,14 +90,11 @@ precision: $(STAMP) ## measure docs/numerics.md again; RUNS=folder of trained ru
 bench-inference: $(STAMP) ## ms and memory of a generated frame by engine, precision and width; ARGS="--variant lsa2h --size 250 346"
 	$(BIN)/python benchmarks/inference.py $(ARGS)
 
-bench-metrics: $(STAMP) ## what scoring costs: each metric, and an evaluation of the paper's 669 test frames
-	$(BIN)/python benchmarks/metrics.py $(FRAMES)
+bench-metrics: $(STAMP) ## what scoring a frame costs, metric by metric
+	$(BIN)/python benchmarks/metrics.py
 
 bench-training: $(STAMP) ## images a second of a training against a plain loop; ARGS="--variants sa2h --threads 1 --rounds 10"
 	PYTHONPATH=tests $(BIN)/python benchmarks/training.py $(ARGS)
-
-bench-start: $(STAMP) ## seconds until a mistyped key is answered, against the import of Hydra
-	$(BIN)/python benchmarks/start.py $(ARGS)
 
 bench-viewer: $(STAMP) ## the viewer's frames a second, motion to picture and memory; ARGS="--frames 10000 preset=tiny"
 	PYTHONPATH=tests $(BIN)/python benchmarks/viewer.py $(ARGS)

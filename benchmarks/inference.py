@@ -10,15 +10,12 @@ trained: they change neither time nor memory. Give it the machine alone.
 """
 
 import argparse
-import json
-import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -38,7 +35,7 @@ from ablate.training import (
     open_engine,
     open_exported,
 )
-from yardstick import ABOUT, Yardstick, milliseconds
+from yardstick import ABOUT, Yardstick, in_own_process, milliseconds, peak_gib
 
 HEAD = (
     "width",
@@ -53,37 +50,25 @@ HEAD = (
 )
 
 
+class Measured(NamedTuple):
+    """What one process measured; `before_gib` is what it had without the network."""
+
+    image: np.ndarray
+    ms: float
+    ready_s: float
+    peak_gib: float
+    before_gib: float
+    yardstick: str
+
+
 def line(cells: tuple[str, ...]) -> None:
     """Print one row of the table, at once."""
     print("| " + " | ".join(cell.rjust(len(name)) for cell, name in zip(cells, HEAD, strict=True)) + " |", flush=True)
 
 
-def child(arguments: argparse.Namespace, *more: str) -> dict[str, Any]:
-    """Run this file once more for one row, or one file, and return what it measured."""
-    own = (
-        "--variant",
-        arguments.variant,
-        "--preset",
-        arguments.preset,
-        "--size",
-        *map(str, arguments.size),
-        "--repeats",
-        str(arguments.repeats),
-    )
-    command = [sys.executable, __file__, *own, "--device", arguments.device, *more]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
-    measured: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return measured
-
-
-def peak_gib(device: torch.device) -> float:
-    """Of this process so far: memory of the GPU where one is used, else resident memory."""
-    if device.type == "cuda":
-        return torch.cuda.max_memory_allocated(device) / 2**30
-    with Path("/proc/self/status").open() as file:  # getrusage would count what its parent had
-        return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
+def peak_of(device: torch.device) -> float:
+    """GiB of this process so far: memory of the GPU where one is used, else resident memory."""
+    return torch.cuda.max_memory_allocated(device) / 2**30 if device.type == "cuda" else peak_gib()
 
 
 def spec_of(arguments: argparse.Namespace, width: float) -> tuple[GeneratorSpec, int]:
@@ -104,35 +89,36 @@ def drawn_generator(spec: GeneratorSpec, labels: int) -> Generator:
     return generator
 
 
-def measure(arguments: argparse.Namespace) -> None:
-    """Measure one row; prints JSON."""
-    (height, width), device = arguments.size, chosen_device(arguments.device)
-    before = peak_gib(device)
-    generator = drawn_generator(*spec_of(arguments, arguments.widths[0])).to(device)
-    if arguments.engine is None:
-        export_onnx(generator, arguments.file, height, width)
-        print("{}")
-        return
+def export(arguments: argparse.Namespace, width: float, file: Path) -> None:
+    """Write the file of the exported engine."""
+    export_onnx(drawn_generator(*spec_of(arguments, width)), file, *arguments.size)
+
+
+def measure(
+    arguments: argparse.Namespace, width: float, engine: Engine, precision: TrainingPrecision, file: Path
+) -> Measured:
+    """Measure one row in this process."""
+    (height, width_px), device = arguments.size, chosen_device(arguments.device)
+    before = peak_of(device)
+    generator = drawn_generator(*spec_of(arguments, width)).to(device)
     random = torch.Generator().manual_seed(0)
     channels = {name: map_channels(name, generator.labels) for name in conditions(generator.spec)}
-    maps = {name: torch.rand(1, n, height, width, generator=random).to(device) for name, n in channels.items()}
+    maps = {name: torch.rand(1, n, height, width_px, generator=random).to(device) for name, n in channels.items()}
     started = time.perf_counter()
-    if arguments.engine is Engine.exported:
-        render = open_exported(generator, arguments.file, arguments.precision)
+    if engine is Engine.exported:
+        render = open_exported(generator, file, precision)
     else:
-        render = open_engine(generator, height, width, arguments.precision, arguments.engine)
+        render = open_engine(generator, height, width_px, precision, engine)
     image = render(maps, torch.tensor([1], device=device)).float().cpu()
-    ready = time.perf_counter() - started
-    np.save(arguments.image, image.numpy())
-    peak = peak_gib(device)
+    ready_s = time.perf_counter() - started
+    peak = peak_of(device)
     yardstick, times = Yardstick(), []
     render(maps, torch.tensor([0], device=device)).cpu()  # does not count
     for number in range(arguments.repeats):
         seed = torch.tensor([number], device=device)
         times.append(milliseconds(lambda seed=seed: render(maps, seed).cpu()))
         yardstick.tick()
-    found = {"ms": median(times), "ready": ready, "peak": peak, "before": before, "yardstick": yardstick.text(times)}
-    print(json.dumps(found))
+    return Measured(image.numpy(), median(times), ready_s, peak, before, yardstick.text(times))
 
 
 def table(arguments: argparse.Namespace, folder: Path) -> None:
@@ -148,26 +134,23 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
                 print(f"{engine} left out, it needs {lacking}")
                 continue
             if engine is Engine.exported:
-                child(arguments, "--widths", str(width), "--file", str(exported))
+                in_own_process(export, arguments, width, exported)
             for precision in computed:
-                out = folder / "image.npy"
-                row = ("--widths", str(width), "--engine", engine, "--precision", precision, "--image", str(out))
-                found = child(arguments, *row, "--file", str(exported))
-                before = max(before, found["before"])
-                image = np.load(out)
-                reference = image if reference is None else reference
-                apart = HALF_RANGE * np.abs(image - reference)
+                found = in_own_process(measure, arguments, width, engine, precision, exported)
+                before = max(before, found.before_gib)
+                reference = found.image if reference is None else reference
+                apart = HALF_RANGE * np.abs(found.image - reference)
                 line(
                     (
                         f"{width:g}",
                         parameters,
                         engine,
                         precision,
-                        f"{found['ms']:.1f}",
-                        f"{found['ready']:.1f}",
-                        f"{found['peak']:.2f}",
+                        f"{found.ms:.1f}",
+                        f"{found.ready_s:.1f}",
+                        f"{found.peak_gib:.2f}",
                         f"{apart.max():.2g} at most, {apart.mean():.2g} in the mean",
-                        found["yardstick"],
+                        found.yardstick,
                     )
                 )
     where = (
@@ -180,7 +163,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
 
 
 def main() -> None:
-    """Print the table, or measure one row of it."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variant", default="sa2h")
     parser.add_argument("--preset", default="paper", help="whose maps the network reads")
@@ -188,15 +171,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=[1000, 1386], metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
-    # One row, which the table asks for.
-    parser.add_argument("--engine", type=Engine, help=argparse.SUPPRESS)
-    parser.add_argument("--precision", type=TrainingPrecision, default=TrainingPrecision.fp32, help=argparse.SUPPRESS)
-    parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--image", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.file is not None:
-        measure(arguments)
-        return
     print(f"{hardware()}, {torch.get_num_threads()} threads, torch {torch.__version__}; {arguments.variant} at")
     print(f"{arguments.size[0]} x {arguments.size[1]}, batch 1, median of {arguments.repeats} frames after warm-up.\n")
     if chosen_precision(TrainingPrecision.auto, chosen_device(arguments.device)) is not TrainingPrecision.bf16:

@@ -1,17 +1,13 @@
-"""What scoring costs: each metric, and a whole evaluation of the paper's 669 test frames without FID.
+"""What scoring costs: each metric, of one frame of the paper's size.
 
 make bench-metrics
 
-Some frames of the paper's size are simulated, with a coarser anatomy; an evaluation then takes them over and over as
-its targets, and their re-simulation as a renderer's images. Give it the machine alone; a number of frames after the
-command makes the evaluation shorter.
+Some such frames are simulated, with a coarser anatomy. Give it the machine alone.
 """
 
-import dataclasses
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from statistics import median
 
 import numpy as np
@@ -19,10 +15,9 @@ import torch
 
 from ablate.anatomy import TissueKind
 from ablate.command.compose import jobs_of
-from ablate.dataset import Pairs, Part
-from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
-from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
-from ablate.networks import Space
+from ablate.dataset import Part
+from ablate.evaluation import tissue_labels
+from ablate.metrics import METRICS, Pair, speckle_features
 from ablate.sources.data_set import DataSet as Data
 from ablate.sources.data_set import maps_needed
 from ablate.sources.prepare import prepare_data
@@ -31,20 +26,8 @@ from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 from yardstick import Yardstick
 
-SIMULATED, SITES = 16, 30
-PAPER_FRAMES, PAPER_SECONDS, THREADS = 669, 60, 2
+SIMULATED = 16
 REPEATS = 5
-
-
-class Repeated(Pairs):
-    """A few frames on disk that pass for many, all of them unseen."""
-
-    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
-        unseen = np.flatnonzero(self.split[:SIMULATED] != Part.train)
-        return super().stored(name, unseen[np.asarray(frames) % len(unseen)], space)
-
-    def frames(self, part: Part) -> np.ndarray:
-        return np.arange(len(self) if part is Part.test else 0)
 
 
 def simulated(folder: str) -> Data:
@@ -94,8 +77,7 @@ def one_frame(data: Data) -> list[tuple[str, float]]:
 
 
 def main() -> None:
-    """Simulate, print the table, then time an evaluation."""
-    frames = int(sys.argv[1]) if len(sys.argv) > 1 else PAPER_FRAMES
+    """Simulate and print the table."""
     print(hardware())
     with tempfile.TemporaryDirectory() as folder:
         data = simulated(folder)
@@ -109,20 +91,6 @@ def main() -> None:
             print(f"{name:40} {cost:8.1f}")
 
         print(yardstick.line())
-
-        torch.set_num_threads(THREADS)
-        fields = {f.name: getattr(data.pairs, f.name) for f in dataclasses.fields(Pairs)}
-        pairs = Repeated(**fields | {"sites": np.arange(frames) % SITES})
-        without_fid = {name: m for name, m in choose_metrics().items() if not m.uses(FeatureKind.inception)}
-        settings = EvaluationSettings(noise_draws=2)
-        scorer = Scorer(pairs, data.tissues, ConvexProbe(), settings, without_fid)
-        start, worked = time.perf_counter(), time.process_time()
-        scorer.score(Part.test, resimulation_images(pairs), draws_noise=True)
-        seconds, worked = time.perf_counter() - start, time.process_time() - worked
-        print(
-            f"\nan evaluation, {frames} frames, {THREADS} threads: {seconds:.1f} s ({worked:.1f} s of processor time)"
-        )
-        print(f"{PAPER_FRAMES} frames: {seconds * PAPER_FRAMES / frames:.1f} s (the bar is {PAPER_SECONDS} s)")
 
 
 def _together(rows: list[tuple[str, float]]) -> float:

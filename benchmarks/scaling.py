@@ -12,13 +12,12 @@ which is paid once; its memory is with it.
 """
 
 import argparse
-import json
 import math
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -34,7 +33,7 @@ from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.study.provenance import hardware
 from ablate.training import Engine, TrainingPrecision, TrainingSettings, chosen_device, open_engine, train
 from ablate.ultrasound import Simulator, SimulatorSettings
-from yardstick import Yardstick, milliseconds
+from yardstick import Yardstick, in_own_process, milliseconds, peak_gib
 
 REPEATS = 3
 BUDGETS_GIB = (4.0, 24.0)
@@ -72,26 +71,9 @@ def through(sizes: list[float], memory: list[float], power: float) -> Growth:
 
 
 def ball(centre_mm: tuple[float, float, float], radius_mm: float, triangles: int) -> trimesh.Trimesh:
-    """A closed sphere of rings and segments, of nearly so many triangles."""
-    rings = max(3, round(math.sqrt(triangles / 4)))
-    segments = 2 * rings
-    polar, turn = np.linspace(0, np.pi, rings + 1)[1:-1], np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    belt = np.stack(
-        [np.outer(np.sin(polar), f(turn)) for f in (np.cos, np.sin)] + [np.outer(np.cos(polar), np.ones(segments))], -1
-    )
-    points = np.concatenate([belt.reshape(-1, 3), [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]])
-    here = np.arange((rings - 2) * segments).reshape(rings - 2, segments)
-    right = np.roll(here, -1, axis=1)
-    below, below_right = here + segments, right + segments
-    first, last = np.arange(segments), np.arange(segments) + (rings - 2) * segments
-    top, bottom = len(points) - 2, len(points) - 1
-    faces = [
-        np.stack([here, below, below_right], -1).reshape(-1, 3),
-        np.stack([here, below_right, right], -1).reshape(-1, 3),
-        np.stack([np.full(segments, top), first, np.roll(first, -1)], -1),
-        np.stack([np.full(segments, bottom), np.roll(last, -1), last], -1),
-    ]
-    return trimesh.Trimesh(points * radius_mm + centre_mm, np.concatenate(faces), process=False)
+    """A sphere of rings and segments, of nearly so many triangles."""
+    rings = max(3, round(math.sqrt(triangles / 8)))
+    return trimesh.creation.uv_sphere(radius_mm, count=(rings, 2 * rings)).apply_translation(centre_mm)
 
 
 def balls(triangles: int) -> Scene:
@@ -198,32 +180,25 @@ def _timed(call: Callable[[np.ndarray], object], pose: np.ndarray) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
-def peak_resident_gib() -> float:
-    """Largest resident memory of this process; getrusage would count its parent's."""
-    with Path("/proc/self/status").open() as file:
-        return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
-
-
-def measure(what: str, sizes: dict[str, float]) -> None:
-    """Do the work in this process and print its cost as JSON."""
+def measure(what: str, sizes: dict[str, float]) -> Cost:
+    """Do the work in this process."""
     work = MAKERS[what](**sizes)
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew: making meshes is not the simulator's
     ms = work()
     on_gpu = torch.cuda.is_available() and what != FRAME
-    peak = torch.cuda.max_memory_allocated() / 2**30 if on_gpu else peak_resident_gib()
-    print(json.dumps({"peak_gib": peak, "ms": ms}))
+    return Cost(torch.cuda.max_memory_allocated() / 2**30 if on_gpu else peak_gib(), ms)
 
 
 def cost(what: str, **sizes: float) -> Cost | None:
     """The cost of one piece of work in a process of its own; None where it did not get its memory."""
-    order = json.dumps({"what": what, "sizes": USUAL[what] | sizes})
-    done = subprocess.run([sys.executable, __file__, "--measure", order], capture_output=True, text=True)
-    refused = any(words in done.stderr for words in ("MemoryError", "allocate memory", "out of memory"))
-    if done.returncode == -9 or (done.returncode and refused):
+    try:
+        return in_own_process(measure, what, USUAL[what] | sizes)
+    except (BrokenProcessPool, MemoryError):  # the first where the system killed it
         return None
-    if done.returncode:
-        raise SystemExit(f"{order}\n{done.stderr}")
-    return Cost(**json.loads(done.stdout.splitlines()[-1]))
+    except RuntimeError as error:  # of torch
+        if "allocate memory" in str(error) or "out of memory" in str(error):
+            return None
+        raise
 
 
 def exponent(sizes: list[float], times: list[float]) -> float:
@@ -285,16 +260,12 @@ def grow(what: str, name: str, doublings: int, check: bool) -> tuple[str, ...]:
 
 
 def main() -> None:
-    """Print the tables, or measure one row."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--doublings", type=int, default=5, help="of each size at most; at least 2")
     parser.add_argument("--work", nargs="+", choices=tuple(FIRST), default=tuple(FIRST))
     parser.add_argument("--no-check", dest="check", action="store_false", help="do not run what should fit in 4 GiB")
-    parser.add_argument("--measure", help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.measure:
-        measure(**json.loads(args.measure))
-        return
     if args.doublings < 2:
         parser.error("--doublings: at least 2, exponents are of three sizes")
     usual = "; ".join(f"{w}: {', '.join(f'{k} {shown(v)}' for k, v in s.items())}" for w, s in USUAL.items())

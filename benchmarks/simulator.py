@@ -1,35 +1,26 @@
-"""Milliseconds of a simulated frame: by stage, as each size grows, and what the plan saves; medians.
+"""Milliseconds of a simulated frame, also by stage, its memory, and what the plan saves; medians.
 
 make bench-simulator
-make bench-simulator SCENE=path/to/folder      # the table of the plan with that scene, too
 make bench-simulator AGAINST=path/to/checkout  # only how long a frame takes, against another checkout
 """
 
 import argparse
-import pickle
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import torch
-import trimesh
 import yaml
 
-from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_sites, load_scene, load_sites, load_tissues
+from ablate.anatomy import Scene, fetal_abdomen, fetal_sites
 from ablate.dataset import probe_poses
 from ablate.study.provenance import hardware
 from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 from turns import HERE, Case, in_turns
-from yardstick import ABOUT, Yardstick, busy_core
+from yardstick import ABOUT, Yardstick, in_own_process, peak_gib
 
 POSES = 12
 REPEATS = 3
@@ -67,27 +58,22 @@ def some(poses: list[np.ndarray], count: int = POSES) -> list[np.ndarray]:
 
 
 def totals(scene: Scene, poses: list[np.ndarray]) -> None:
-    """H, L, S and A at the paper's size, with one thread and with all, idle and beside a process that uses a core."""
+    """H, L, S and A at the paper's size, with one thread and with all."""
     rows = []
-    idle: dict[int, float] = {}
-    for threads, beside in product(sorted({1, torch.get_num_threads()}), (nullcontext, busy_core)):
+    for threads in sorted({1, torch.get_num_threads()}):
         torch.set_num_threads(threads)
         yardstick = Yardstick()
-        with beside():
-            high, maps = Simulator(scene), Simulator(scene)
-            low = Simulator(scene, settings=SimulatorSettings.low_quality())
-            frames = each_time(high.render, poses, yardstick)
-            s_and_a = milliseconds(maps.maps, poses)
-            with_low = milliseconds(low.render, poses)
+        high, maps = Simulator(scene), Simulator(scene)
+        low = Simulator(scene, settings=SimulatorSettings.low_quality())
+        frames = each_time(high.render, poses, yardstick)
+        s_and_a = milliseconds(maps.maps, poses)
+        with_low = milliseconds(low.render, poses)
         whole = median(frames)
         cells = (s_and_a, whole, whole - s_and_a, with_low, with_low - s_and_a)
-        word = "idle" if beside is nullcontext else f"busy, {whole / idle[threads]:.1f} times idle"
-        idle.setdefault(threads, whole)
-        rows.append((str(threads), word, *(f"{t:.0f}" for t in cells), yardstick.text(frames)))
+        rows.append((str(threads), *(f"{t:.0f}" for t in cells), yardstick.text(frames)))
     table(
-        "**Totals**, ms. H and L are the frame less S and A, with its maps of surfaces. Busy: beside "
-        f" a process that keeps a core busy. The last column is of S, A and H; {ABOUT}",
-        ("threads", "machine", "S and A", "S, A and H", "H", "S, A and L", "L", "yardstick"),
+        f"**Totals**, ms. H and L are the frame less S and A, with its maps of surfaces. The last column: {ABOUT}",
+        ("threads", "S and A", "S, A and H", "H", "S, A and L", "L", "S, A and H in"),
         rows,
     )
 
@@ -134,68 +120,16 @@ def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
     table("**Stages** of S, A and H, ms, 1 thread.", ("stage", "ms"), rows)
 
 
-def growth(poses: list[np.ndarray], scene: Scene) -> None:
-    """How the time of S, A and H grows with each size, all others as in the paper."""
-    few = some(poses, 6)
-
-    def frame(settings: SimulatorSettings) -> str:
-        return f"{milliseconds(Simulator(scene, settings=settings).render, few):.0f}"
-
-    sizes: dict[str, tuple[int, ...]] = {
-        "rays": (1, 2, 4, 8, 16, 32, 64, 128),
-        "layers": (1, 3, 5),
-        "scanlines": (48, 96, 192, 384),
-        "axial_samples": (768, 1536, 3072, 6144),
-        "compound_angles": (1, 3, 5, 7, 9),
-    }
-    for name, values in sizes.items():
-        times = tuple(frame(replace(SimulatorSettings(), **{name: value})) for value in values)
-        table(f"**{name}**, ms.", tuple(map(str, values)), [times])
-    triangles, times = [], []
-    for wanted in (20_000, 100_000, 300_000, 1_000_000):
-        other = fetal_abdomen(triangles=wanted)
-        triangles.append(f"{sum(len(s.mesh.faces) for s in other.structures):,}")
-        times.append(f"{milliseconds(Simulator(other).render, few):.0f}")
-    table("**triangles**, ms.", tuple(triangles), [tuple(times)])
-
-
-def scenes(scene: Scene, poses: list[np.ndarray], folder: Path | None) -> list[tuple[str, Scene, list[np.ndarray]]]:
-    """Scenes that need less and less of the simulator, with poses: the built-in one comes last, a folder after it."""
-    tissues = load_tissues()
-    organ = Structure(trimesh.creation.icosphere(5, 40.0), tissues["liver"])
-    cyst = Structure(trimesh.creation.icosphere(5, 45.0), tissues["urine"])
-    for ball in (organ, cyst):
-        ball.mesh.apply_translation((0.0, 0.0, 70.0))
-    ahead = [np.eye(4)] * len(poses)
-    smooth, body = replace(tissues["soft_tissue"], roughness=0.0), tissues["soft_tissue"]
-    no_gas = Scene(tuple(s for s in scene.structures if s.tissue.name != "gas"), scene.background, "fetus, no gas")
-    cases = [
-        ("gel only", Scene((), tissues["coupling_gel"], "gel"), ahead),
-        ("one organ", Scene((organ,), smooth, "organ"), ahead),
-        ("large cyst", Scene((cyst,), body, "cyst"), ahead),
-        ("fetus without gas", no_gas, poses),
-        ("fetus", scene, poses),
-    ]
-    if folder is not None:
-        placed = probe_poses(load_scene(folder), load_sites(folder), 8)
-        cases.append((folder.name, load_scene(folder), some(list(placed), len(poses))))
-    return cases
-
-
-def plans(cases: list[tuple[str, Scene, list[np.ndarray]]]) -> None:
+def plan(scene: Scene, poses: list[np.ndarray]) -> None:
     """The planned simulator against the full one, in turns; the spread is that of the frames' ratios."""
-    rows = []
-    for name, each, where in cases:
-        full = Simulator(each, settings=SimulatorSettings(plan=PlanMode.full), poses=where)
-        auto = Simulator(each, poses=where)
-        apart = max(int(np.abs(full.image(p).astype(int) - auto.image(p)).max()) for p in where[:2])
-        times = np.concatenate([_in_turns((full, auto), _fresh(where, turn)) for turn in range(REPEATS)])
-        low, middle, high = np.percentile(1 - times[:, 1] / times[:, 0], (25, 50, 75))
-        slow, fast = np.median(times, axis=0)
-        saved = f"{middle:.0%} ({low:.0%} to {high:.0%})"
-        rows.append((name, f"{slow:.0f}", f"{fast:.0f}", saved, str(apart), _short(auto.left_out)))
-    head = ("scene", "full, ms", "planned, ms", "saved (quartiles)", "largest grey difference", "left out")
-    table("**What the plan leaves out**, of an image alone.", head, rows)
+    full = Simulator(scene, settings=SimulatorSettings(plan=PlanMode.full), poses=poses)
+    auto = Simulator(scene, poses=poses)
+    times = np.concatenate([_in_turns((full, auto), _fresh(poses, turn)) for turn in range(REPEATS)])
+    low, middle, high = np.percentile(1 - times[:, 1] / times[:, 0], (25, 50, 75))
+    slow, fast = np.median(times, axis=0)
+    saved = f"{middle:.0%} ({low:.0%} to {high:.0%})"
+    head = ("full, ms", "planned, ms", "saved (quartiles)")
+    table("**What the plan leaves out**, of an image alone.", head, [(f"{slow:.0f}", f"{fast:.0f}", saved)])
 
 
 def _in_turns(simulators: Sequence[Simulator], poses: list[np.ndarray]) -> np.ndarray:
@@ -209,10 +143,6 @@ def _in_turns(simulators: Sequence[Simulator], poses: list[np.ndarray]) -> np.nd
     return times[1:]
 
 
-def _short(notes: tuple[str, ...]) -> str:
-    return "; ".join(note.split(":")[0].split(" (")[0] for note in notes) or "nothing"
-
-
 def _fresh(poses: list[np.ndarray], turn: int) -> list[np.ndarray]:
     """The same poses, a little apart from each other and from those of other turns: no frame is remembered."""
     moved = [pose.copy() for pose in poses]
@@ -221,35 +151,25 @@ def _fresh(poses: list[np.ndarray], turn: int) -> list[np.ndarray]:
     return moved
 
 
-_CHILD = """
-import pickle, sys
-from ablate.ultrasound import Simulator
-with open(sys.argv[1], "rb") as file:
-    scene, poses = pickle.load(file)
-def peak():  # of this program; getrusage would count what its parent had
-    with open("/proc/self/status") as file:
-        return next(int(line.split()[1]) for line in file if line.startswith("VmHWM")) / 2**20
-before = peak()
-simulator = Simulator(scene)
-for pose in poses:
-    simulator.render(pose)
-print(f"{peak():.2f} GiB, of which {before:.2f} are Python, torch and the scene")
-"""
-
-
 def memory(scene: Scene, poses: list[np.ndarray]) -> None:
     """Peak memory of a process that loads a built scene and renders frames."""
-    with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
-        pickle.dump((scene, poses[:4]), file)
-        file.flush()
-        done = subprocess.run([sys.executable, "-c", _CHILD, file.name], check=True, capture_output=True, text=True)
-    print(f"\n**Peak memory** of one process, scene already built: {done.stdout.strip()}.")
+    before, peak = in_own_process(_peaks, scene, poses[:4])
+    text = f"{peak:.2f} GiB, of which {before:.2f} are Python, torch and the scene"
+    print(f"\n**Peak memory** of one process, scene already built: {text}.")
+
+
+def _peaks(scene: Scene, poses: list[np.ndarray]) -> tuple[float, float]:
+    """GiB before and after frames are rendered."""
+    before = peak_gib()
+    simulator = Simulator(scene)
+    for pose in poses:
+        simulator.render(pose)
+    return before, peak_gib()
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", type=Path, default=None, help="a scene folder for the table of the plan")
     parser.add_argument("--against", type=Path, default=None, help="another checkout, which frames are timed against")
     args = parser.parse_args()
     threads = torch.get_num_threads()
@@ -268,9 +188,7 @@ def main() -> None:
     by_stage(scene, poses)
     torch.set_num_threads(threads)
     memory(scene, poses)
-    cases = scenes(scene, some(all_poses, 6), args.scene)
-    plans(cases)
-    growth(all_poses, scene)
+    plan(scene, some(all_poses, 6))
 
 
 if __name__ == "__main__":

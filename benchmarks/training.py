@@ -14,16 +14,15 @@ and the machine should have nothing else to do.
 """
 
 import argparse
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from statistics import median
-from subprocess import PIPE
 
 import numpy as np
 import torch
@@ -39,6 +38,7 @@ from plain_training import PlainGAN
 from yardstick import ABOUT, Yardstick
 
 Times = list[list[float]]
+SIDES = ("ours", "plain")
 FRAMES, WARM_UP = 16, 3
 LABELS = np.linspace(-1, 1, 256).astype(np.float32)[:, None]
 
@@ -60,44 +60,42 @@ def drawn_pairs(folder: Path, shape: tuple[int, int]) -> None:
 
 def settings_of(arguments: argparse.Namespace) -> StudySettings:
     """What `preset=...` composes to for a variant, with what is asked for otherwise."""
-    sizes = {"model.width": arguments.width, "training.batch_size": arguments.batch, "training.crop": arguments.crop}
-    sizes["training.precision"] = arguments.precision
     image_space = {
         "space": "image",
         "attenuation": "integral",
         "position": "none",
         "interfaces": "none",
         "grain": "output",
+        "fold": "none",
     }
     if "att" in arguments.variants[0]:
         del image_space["attenuation"]
-    given = [f"{key}={value}" for key, value in sizes.items() if value is not None]
-    given += ["encoding=echogenicity", *(f"model.{key}={value}" for key, value in image_space.items())]
+    given = [f"training.precision={arguments.precision}", "encoding=echogenicity"]
+    given += [f"model.{key}={value}" for key, value in image_space.items()]
     (job,) = jobs_of([f"preset={arguments.preset}", f"variant={arguments.variants[0]}", *given])
-    rounds, device, threads = arguments.rounds + WARM_UP, arguments.device, arguments.threads[0]
+    steps, device, threads = arguments.rounds + WARM_UP + 1, arguments.device, arguments.threads[0]
     training = replace(
-        job.settings.training, steps=rounds, device=device, threads=threads, validate_every=0, checkpoint_every=0
+        job.settings.training, steps=steps, device=device, threads=threads, validate_every=0, checkpoint_every=0
     )
     return replace(job.settings, training=training)
 
 
-def in_turns(batches: Iterable[dict[str, Tensor]], device: torch.device) -> Iterator[dict[str, Tensor]]:
+def in_turns(
+    batches: Iterable[dict[str, Tensor]], device: torch.device, parent: Connection
+) -> Iterator[dict[str, Tensor]]:
     """Draw a batch when the parent says so, and tell it the milliseconds until the next one is asked for."""
-    batches = iter(batches)
     clock = time.process_time if device.type == "cpu" and torch.get_num_threads() == 1 else time.perf_counter
-    while True:
-        sys.stdin.readline()
+    batches = iter(batches)
+    while parent.recv():
         started = clock()
-        batch = next(batches, None)
-        if batch is None:
-            return
-        yield batch
+        yield next(batches)
         if device.type == "cuda":
             torch.cuda.synchronize()
-        print(1e3 * (clock() - started), flush=True)
+        parent.send(1e3 * (clock() - started))
+    yield from batches  # the last, after which none is asked for: it is not timed
 
 
-def take_steps(arguments: argparse.Namespace) -> None:
+def take_steps(arguments: argparse.Namespace, side: str, parent: Connection) -> None:
     """Be one of the two sides: train, a step at each word of the parent's."""
     s = settings_of(arguments)
     device = chosen_device(s.training.device)
@@ -107,9 +105,9 @@ def take_steps(arguments: argparse.Namespace) -> None:
     crops = Crops(pairs, np.arange(FRAMES), frozenset(conditions(s.model)), LABELS, cut)
 
     def loader(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        return in_turns(CropLoader(crops, start, stop, s.crops.workers), device)
+        return in_turns(CropLoader(crops, start, stop, s.crops.workers), device, parent)
 
-    if arguments.side == "ours":
+    if side == "ours":
         with tempfile.TemporaryDirectory(dir=arguments.folder) as run:
             train(s.model, s.training, loader, Path(run), sink=lambda *_: None)
     else:
@@ -118,32 +116,26 @@ def take_steps(arguments: argparse.Namespace) -> None:
             gan.step(batch, arguments.forwards)
 
 
-def in_processes(
-    arguments: argparse.Namespace,
-    variant: str,
-    threads: int,
-    sides: Sequence[Sequence[str]],
-    yardstick: Yardstick,
-) -> Times:
-    """Milliseconds of the steps of several sides, taken in turns with the yardstick, the warm-up apart."""
-    command = [sys.executable, __file__, *sys.argv[1:], "--folder", str(arguments.folder), "--variants", variant]
-    processes = [
-        subprocess.Popen([*command, "--threads", str(threads), *side], stdin=PIPE, stdout=PIPE, text=True)
-        for side in sides
-    ]
-    taken: Times = [[] for _ in sides]
+def in_processes(arguments: argparse.Namespace, variant: str, threads: int, yardstick: Yardstick) -> Times:
+    """Milliseconds of the steps of both sides, taken in turns with the yardstick, the warm-up apart."""
+    asked = argparse.Namespace(**vars(arguments) | {"variants": [variant], "threads": [threads]})
+    pipes, processes = [], []
+    for side in SIDES:
+        ours, theirs = Pipe()
+        process = get_context("spawn").Process(target=take_steps, args=(asked, side, theirs), daemon=True)
+        process.start()
+        theirs.close()  # so that a side that ends early is told
+        pipes.append(ours)
+        processes.append(process)
+    taken: Times = [[] for _ in SIDES]
     for _ in range(arguments.rounds + WARM_UP):
-        for process, times in zip(processes, taken, strict=True):
-            assert process.stdin is not None
-            assert process.stdout is not None
-            print(file=process.stdin, flush=True)
-            answer = process.stdout.readline()
-            if not answer:
-                raise SystemExit(f"{' '.join(map(str, process.args))}: ended early")
-            times.append(float(answer))
+        for pipe, times in zip(pipes, taken, strict=True):
+            pipe.send(True)
+            times.append(pipe.recv())
         yardstick.tick()
-    for process in processes:
-        process.communicate()
+    for pipe, process in zip(pipes, processes, strict=True):
+        pipe.send(False)
+        process.join()
     del yardstick.convolutions[:WARM_UP], yardstick.loops[:WARM_UP]
     return [times[WARM_UP:] for times in taken]
 
@@ -159,7 +151,7 @@ def compare(arguments: argparse.Namespace, batch: int) -> None:
     print("|:--------|--------:|---------------:|----------------:|------:|:----------------------|")
     for threads, variant in product(arguments.threads, arguments.variants):
         yardstick = Yardstick()
-        both = in_processes(arguments, variant, threads, [["--side", "ours"], ["--side", "plain"]], yardstick)
+        both = in_processes(arguments, variant, threads, yardstick)
         ours, plain = (f"{1e3 * batch / median(times):.2f}" for times in both)
         cells = f"{variant:7} | {threads:7} | {ours:>14} | {plain:>15} | {ratio(both[1], both[0]):5.2f}"
         print(f"| {cells} | {yardstick.text(both[0]):21} |", flush=True)
@@ -167,7 +159,7 @@ def compare(arguments: argparse.Namespace, batch: int) -> None:
 
 
 def main() -> None:
-    """Print a table, or be one of its sides."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variants", nargs="+", default=["sa2h", "nsa2h"])
     parser.add_argument("--threads", type=int, nargs="+", default=[2, 1])
@@ -175,16 +167,8 @@ def main() -> None:
     parser.add_argument("--forwards", type=int, choices=(1, 2), default=2, help="of the plain generator a step")
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--precision", default="auto", choices=list(TrainingPrecision))
-    parser.add_argument("--width", type=float, help="of the networks, if not the preset's")
-    parser.add_argument("--batch", type=int)
-    parser.add_argument("--crop", type=int)
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
-    parser.add_argument("--side", choices=("ours", "plain"), help=argparse.SUPPRESS)
-    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.side is not None:
-        take_steps(arguments)
-        return
     s = settings_of(arguments)
     precision = chosen_precision(s.training.precision, chosen_device(arguments.device))
     print(f"{hardware()}, torch {torch.__version__}; ours in {precision}. Width {s.model.width:g}, batches of")

@@ -1,28 +1,28 @@
-"""Fixed pieces of work that are timed in turns with what a benchmark measures, and a process that keeps a core busy.
+"""Fixed pieces of work that are timed in turns with what a benchmark measures.
 
 Milliseconds of two machines, or of one machine on two days, do not compare. Their ratios to the same convolution and to
 the same loop do, as far as these are what the work consists of: networks are convolutions, and the rest is mostly
 bound by memory and by Python.
 """
 
-import os
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
 from statistics import median
+from typing import TypeVar
 
 import torch
 from torch.nn import functional as F
 
+T = TypeVar("T")
 CHANNELS, SIDE = 32, 192  # of the maps that 3 x 3 filters are convolved with: 0.7 GFLOP
 ADDITIONS = 200_000  # of the loop
 ABOUT = (
     f"conv: times a 3 x 3 convolution of {CHANNELS} maps of {SIDE} x {SIDE} to as many, fp32, one thread; loop: times "
     f"{ADDITIONS:,} additions in Python. Both are taken in turns with what is measured; medians of ratios."
 )
-_BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    for _ in range(10**6):\n        pass\n"
 
 
 class Yardstick:
@@ -84,12 +84,13 @@ def milliseconds(work: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
-@contextmanager
-def busy_core() -> Iterator[None]:
-    """Keep one core busy with another process; it ends with the block, or with this process."""
-    process = subprocess.Popen([sys.executable, "-S", "-c", _BUSY], env={**os.environ, "PYTHONPATH": ""})
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
+def in_own_process(work: Callable[..., T], *arguments: object) -> T:
+    """What a function of a module gives for these arguments in a new process, so that the peak of memory is its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
+
+
+def peak_gib() -> float:
+    """Largest resident memory of this process so far; getrusage would count what its parent had."""
+    with Path("/proc/self/status").open() as file:
+        return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20

@@ -68,7 +68,7 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
         shutil.copy(made / name, DOCS / f"{stem}{suffix}.{kind}")
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
-    shown = tables(points, details)
+    shown = tables(points)
     order = next((table for heading, table in shown.items() if heading.startswith(ORDER)), pd.DataFrame())
     return {"order": markdown(order), "verdict": verdict(details)}
 

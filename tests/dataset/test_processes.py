@@ -1,6 +1,5 @@
 """A worker ends when its parent is killed; how many there are."""
 
-import builtins
 import os
 import signal
 import subprocess
@@ -52,22 +51,6 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path, imports_s: int)
     while alive(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not alive(worker)
-
-
-def test_a_container_may_use_fewer_cores_than_the_machine_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Linux tells the limit of a container in a file: microseconds of computing in a period, and the period."""
-    quota = tmp_path / "cpu.max"
-    read, exists = builtins.open, os.path.exists
-
-    def place(path: object) -> object:
-        return quota if path == "/sys/fs/cgroup/cpu.max" else path
-
-    monkeypatch.setattr(builtins, "open", lambda path, *how, **more: read(place(path), *how, **more))
-    monkeypatch.setattr(os.path, "exists", lambda path: exists(place(path)))
-    everywhere = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    for text, cores in (("max 100000", everywhere), ("100000 100000", 1), ("50000 100000", 1)):
-        quota.write_text(text)
-        assert allotted_cores() == cores
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system binds no process to cores")

@@ -165,14 +165,6 @@ def test_inputs_are_the_maps_of_the_pairs(trained: Path) -> None:
     assert set(paid) == {"segmentation", "compensated"}
 
 
-def test_the_time_of_a_simulated_frame_is_that_of_the_image_alone(trained: Path) -> None:
-    """Of no map, nor of a map's surfaces, which other readers of the frame pay."""
-    chosen = bench_of(jobs_of([f"runs_dir={trained}", *TINY])[0])
-    stages = bench.time_stages(chosen, chosen.simulator)
-    assert {"rays, to the last echo", "grey levels"} <= stages.keys()
-    assert not {name for name in stages if "maps" in name or "labels of the pixels" in name or "attenuation" in name}
-
-
 @pytest.mark.parametrize(("working", "failing"), [("fp32", "bf16"), ("bf16", "fp32")])
 def test_an_engine_that_fails_costs_its_points_alone(
     trained: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, working: str, failing: str
@@ -319,24 +311,6 @@ def test_frames_of_several_angles_are_compared_with_those_of_fewer() -> None:
     assert bench.combined(base)[-1] == {"rays": 2, "layers": 1, "compound_angles": 1}
 
 
-def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
-    kept = ("limit", "simulator, float32 against float64", "16", "psnr", 90.0)
-    rows = [
-        ("limit", f"{label}, against fp32 eager", f"width 0.25, {way}, seed 2", metric, value)
-        for label, scale in (("sa2h", 1.0), ("nsa2h", 2.0))
-        for way, error in (("bf16, eager", 0.3), ("fp32, exported", 0.1))
-        for metric, value in (("mae", scale * error), ("psnr", 60 / scale))
-    ]
-    shown = module._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
-    assert tuple(shown.iloc[0]) == kept
-    worst = shown[1:].pivot(index="setting", columns="quantity", values="value")
-    assert worst.to_dict("index") == {
-        "bf16, eager": {"mae": 0.6, "psnr": 30.0},
-        "fp32, exported": {"mae": 0.2, "psnr": 30.0},
-    }
-    assert set(shown[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
-
-
 @pytest.mark.parametrize(
     ("metric", "error", "other", "moved"),
     [
@@ -348,29 +322,10 @@ def test_how_far_a_reference_moves_an_error(metric: str, error: float, other: fl
     assert relative_change(metric, error, other) == pytest.approx(moved)
 
 
-def test_the_best_within_a_budget_and_of_equal_ones_the_fastest() -> None:
-    points = [
-        *(("simulator, rays", n, 30.0 + n, 1 / n) for n in (1, 4, 16)),
-        *(("simulator, other scatterers", f"rays {n}", 30.0 + n, 2 / n) for n in (1, 4)),
-        *(("sa2h", way, ms, 0.7) for way, ms in (("bf16", 20.0), ("fp32", 9.0))),
-    ]
-    rows = [(series, str(setting), ms, "mae", error) for series, setting, ms, error in points]
-    rows += [("simulator, rays", "1", 31.0, "envelope_rms", 0.5)]
-    table = module._budgets(pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"]))
-    same, other, run = table.columns[:3]
-    of_mae = table[table.index.get_level_values("metric") == "MAE (grey levels)"]
-    assert of_mae[same].to_list() == ["", "0.25 (rays: 4)", *["0.06 (rays: 16)"] * 3]
-    assert of_mae[other].to_list() == ["", *["0.50 (rays 4)"] * 4]
-    assert of_mae[run].to_list() == ["0.70 (sa2h: fp32)"] * 5
-    assert of_mae["better"].to_list() == ["trained run", *["simulator"] * 4]
-    alone = table[table.index.get_level_values("metric") != "MAE (grey levels)"]["better"].to_list()
-    assert alone == ["none is that fast", *["not compared"] * 4], "a trained run has no envelope"
-
-
 def test_each_row_of_a_table_has_its_own_time() -> None:
     """Rows are sorted as text, and times were once in the order in which they were measured."""
     timed = {("second: sa2h", "exported"): 30.0, ("first: sa2h", "exported"): 23.0, ("first: sa2h", "eager"): 20.0}
     rows = [(*where, ms, "mae", 5.0) for where, ms in timed.items()]
-    errors = module.tables(pd.DataFrame(rows, columns=module.POINTS), pd.DataFrame(columns=module.DETAILS))
+    errors = module.tables(pd.DataFrame(rows, columns=module.POINTS))
     shown = errors["Error to the reference"]["ms"]
     assert {where: float(shown.loc[where]) for where in timed} == timed

@@ -1,6 +1,5 @@
 """Reading what a stranger made runs no code of his: files that `ablate.load` opens, and a folder that is viewed."""
 
-import json
 import logging
 import pickle
 import re
@@ -178,26 +177,6 @@ def test_a_damaged_checkpoint_leaves_the_simulated_image_and_the_others(
     notes, rendered = viewed(tmp_path / "runs")
     assert rendered == 1
     assert any("last.ckpt" in note for note in notes.values())
-
-
-def test_stored_pairs_that_would_be_unpickled_are_refused(tmp_path: Path, trap: Trap) -> None:
-    """Zarr's second format has a codec that unpickles; a data set of the program is of the third."""
-    run = innocent_run(tmp_path / "runs")
-    data = run.data_set.folder
-    (data / "pairs.zarr").mkdir(parents=True)
-    write_json(data / "about.json", {"tissues": [plain(tissue) for tissue in BODY.tissues]})
-    (data / "pairs.zarr" / ".zgroup").write_text('{"zarr_format": 2}')
-    attributes = {"version": ablate.dataset.PAIRS_VERSION, "shard": 1, "tissues": [], "space": "image", "probe": None}
-    (data / "pairs.zarr" / ".zattrs").write_text(json.dumps(attributes | {"beam_shape": [128, 32]}))
-    codecs = {"filters": [{"id": "vlen-utf8"}, {"id": "pickle", "protocol": 5}], "compressor": None}
-    array = {"zarr_format": 2, "shape": [1], "chunks": [1], "dtype": "|O", "fill_value": "", "order": "C"} | codecs
-    for name in ("pose", "site", "split", "mask"):
-        (data / "pairs.zarr" / name).mkdir()
-        (data / "pairs.zarr" / name / ".zarray").write_text(json.dumps(array))
-        (data / "pairs.zarr" / name / "0").write_bytes(pickle.dumps(RunsCommand(trap.mark)))
-    _, rendered = viewed(tmp_path / "runs")
-    assert rendered == 0
-    assert not trap.has_sprung
 
 
 def test_a_folder_of_anything_is_looked_through(tmp_path: Path) -> None:

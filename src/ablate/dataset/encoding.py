@@ -122,7 +122,7 @@ def encode_attenuation(values: np.ndarray) -> np.ndarray:
     """Attenuation in [0, 1] as uint16, of which the 9 leading bits are kept: within 0.2 % or half a step of 65535.
 
     The bits below are noise to zstd and to nobody else; without them a frame of attenuation takes about half the
-    space (`make bench-dataset`), and small values are as fine as before.
+    space, and small values are as fine as before.
     """
     scaled = np.multiply(np.clip(values, 0, 1), ATTENUATION_SCALE, dtype=np.float32)
     share, power = np.frexp(scaled)  # scaled = share * 2 ** power

@@ -35,37 +35,32 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
         raise ValueError(f"target={spec.target}: has parameters without a size (lazy layers); give them one")
     if not any(parameter.requires_grad for parameter in network.parameters()):
         raise ValueError(f"target={spec.target}: has no parameter to train")
-    where = f"target={spec.target}: "
+    where = f"target={spec.target}"
     maps = _trial_maps(spec, side, labels)
     before = dict(network.named_parameters())
     try:
         with _evaluating(network):
-            fault = _fault_of(network(maps, [], []))  # what it keeps of images now is old when it is trained
+            _check_image(network(maps, [], []), where)  # what it keeps of images now is old when it is trained
         optimizer = torch.optim.Adam(network.parameters(), 1e-3)
-        for _ in range(0 if fault else _STEPS):
+        for _ in range(_STEPS):
             image = network(maps, [], [])
-            fault = _fault_of(image) or (
-                "" if image.requires_grad else "an image that does not depend on its parameters"
-            )
-            if fault:
-                break
+            _check_image(image, where)
+            if not image.requires_grad:
+                raise ValueError(f"{where}: returns an image that does not depend on its parameters")
             optimizer.zero_grad()
             image.mean().backward()
             optimizer.step()
         late = [name for name, value in network.named_parameters() if before.get(name) is not value]
-        if late and not fault:
+        if late:
             named = ", ".join(name.removeprefix("inner.") for name in late[:_NAMED])
             when = "as it renders: it is neither trained nor loaded; allowed are layers that are made in __init__"
-            raise ValueError(f"{where}makes {named} {when}")
-        if not fault:
-            check_saved(network, spec, labels, side)
+            raise ValueError(f"{where}: makes {named} {when}")
+        check_saved(network, spec, labels, side)
     except (Exception, SystemExit) as error:  # whatever the user's class does
         if str(error).startswith(where):
             raise
         images = f"two images of {maps.shape[2]} x {maps.shape[3]} px"
-        raise ValueError(f"{where}{images} fail: {describe_error(error)}") from error
-    if fault:
-        raise ValueError(f"{where}returns {fault}, allowed are float32 numbers in [-1, 1]")
+        raise ValueError(f"{where}: {images} fail: {describe_error(error)}") from error
 
 
 def check_saved(
@@ -106,9 +101,8 @@ def check_saved(
     devices = [maps.device] if maps.is_cuda else []
     with torch.random.fork_rng(devices), _evaluating(network, average):
         first, second, again = (network(maps[k : k + 1], [], []) for k in (0, 1, 0))
-        fault = _fault_of(first) or _fault_of(second) or _fault_of(again)
-        if fault:
-            raise ValueError(f"{where}: returns {fault}, allowed are float32 numbers in [-1, 1]")
+        for image in (first, second, again):
+            _check_image(image, where)
         noise = float((first - again).abs().max())
         if noise > _MOST_APART:
             raise ValueError(
@@ -185,10 +179,10 @@ def _evaluating(network: nn.Module, parameters: Sequence[Tensor] | None = None) 
             part.training = mode
 
 
-def _fault_of(image: Tensor) -> str:
-    if image.dtype != torch.float32:
-        return str(image.dtype)
-    return "" if bool(image.isfinite().all()) else "numbers that are not finite"
+def _check_image(image: Tensor, where: str) -> None:
+    if image.dtype != torch.float32 or not bool(image.isfinite().all()):
+        returned = image.dtype if image.dtype != torch.float32 else "numbers that are not finite"
+        raise ValueError(f"{where}: returns {returned}, allowed are float32 numbers in [-1, 1]")
 
 
 def _unsaved(network: nn.Module, made: nn.Module) -> list[str]:

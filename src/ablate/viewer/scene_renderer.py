@@ -113,44 +113,40 @@ class SceneRenderer:
         maps: tuple[np.ndarray, np.ndarray],
     ) -> tuple[np.ndarray, float, str]:
         """The image of a generator, (H, W) uint8, its milliseconds, and with what reservation it is shown."""
-        if run == FORMULA:
-            return *self._in_closed_form(name, state, simulator), ""
-        trained = self._generator(run, trained_at(run))
         mask, depth = _fan(state.probe, state.simulator.image_shape)
-        low = self._low(state, trained.space) if "low" in trained.reads else None
-        reads_surfaces = bool(OF_SURFACES & set(trained.reads))
+        if run == FORMULA:
+            key = "formula", *_place(state), state.seed
+            image, ms = self._once(name, key, lambda: self._in_closed_form(state, simulator))
+            note = ""
+        else:
+            trained = self._generator(run, trained_at(run))
+            low = self._low(state, trained.space) if "low" in trained.reads else None
+            reads_surfaces = bool(OF_SURFACES & set(trained.reads))
 
-        def render() -> np.ndarray:
-            beam = simulator.beam_maps(state.pose, reads_surfaces, COMPOUND in trained.reads)
-            if GRAIN in trained.reads:  # of all layers even while the probe moves, as the network was trained
-                lattice = grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
-                beam = replace(beam, grain=lattice)
-            fast = quality is Quality.coarse
-            return trained.render((*maps, beam), low, mask, state.probe, state.seed, fast)
+            def render() -> np.ndarray:
+                beam = simulator.beam_maps(state.pose, reads_surfaces, COMPOUND in trained.reads)
+                if GRAIN in trained.reads:  # of all layers even while the probe moves, as the network was trained
+                    beam = replace(beam, grain=self._grain(state))
+                fast = quality is Quality.coarse
+                return trained.render((*maps, beam), low, mask, state.probe, state.seed, fast)
 
-        image, ms = self._once(f"{name}, {quality}", (trained, *_place(state), state.seed), render)
+            image, ms = self._once(f"{name}, {quality}", (trained, *_place(state), state.seed), render)
+            reserved_for = trained, state.probe, state.simulator
+            note, _ = self._once(f"{name}, note", reserved_for, lambda: trained.reservation(state))
         if state.display not in (None, Display()):
             image = state.display.shown(image, depth, state.simulator)
-        key = trained, state.probe, state.simulator
-        note, _ = self._once(f"{name}, note", key, lambda: trained.reservation(state))
         return image, ms, note
 
-    def _in_closed_form(self, name: str, state: ViewerState, simulator: Simulator) -> tuple[np.ndarray, float]:
-        """The image of the formula, (H, W) uint8, and its milliseconds."""
+    def _in_closed_form(self, state: ViewerState, simulator: Simulator) -> np.ndarray:
+        """The image of the formula, (H, W) uint8."""
+        beam = simulator.beam_maps(state.pose, of_surfaces=False)
+        maps = {"segmentation": beam.segmentation, "attenuation": beam.attenuation, GRAIN: self._grain(state)}
+        formula = self._formula(state.probe, simulator.settings)
+        image = formula(formula.insonified(maps), state.seed)
+        return scan_converter(state.probe, image.shape, state.simulator.image_shape).to_image(image)
 
-        def render() -> np.ndarray:
-            beam = simulator.beam_maps(state.pose, of_surfaces=False)
-            lattice = grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
-            maps = {"segmentation": beam.segmentation, "attenuation": beam.attenuation, GRAIN: lattice}
-            formula = self._formula(state.probe, simulator.settings)
-            image = formula(formula.insonified(maps), state.seed)
-            return scan_converter(state.probe, image.shape, state.simulator.image_shape).to_image(image)
-
-        image, ms = self._once(name, ("formula", *_place(state), state.seed), render)
-        if state.display not in (None, Display()):
-            depth = _fan(state.probe, state.simulator.image_shape)[1]
-            image = state.display.shown(image, depth, state.simulator)
-        return image, ms
+    def _grain(self, state: ViewerState) -> np.ndarray:
+        return grain(state.pose, state.probe, state.simulator, state.seed, self.scene.body)
 
     def _low(self, state: ViewerState, space: Space) -> np.ndarray:
         """The image of low quality in one space, as the simulator's settings display it."""

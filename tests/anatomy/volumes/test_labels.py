@@ -148,20 +148,6 @@ def test_surfaces_are_kept_and_follow_the_labels_but_not_the_values_of_tissues(
     assert [path.suffix for path in kept.iterdir()] == [".npz"]
 
 
-def test_a_mesh_that_3d_slicer_wrote_in_lps_does_not_join_labels_in_ras(tmp_path: Path) -> None:
-    values, _ = three_balls()
-    folder = write(tmp_path, values, OBLIQUE)
-    mesh = trimesh.creation.icosphere(2, radius=9).export(file_type="obj")
-    for space in ("RAS", "LPS"):
-        (folder / "tumour.obj").write_text(f"# 3D Slicer output. SPACE={space}\n{mesh}")
-        with (folder / "scene.yaml").open("a") as stream:
-            stream.write("structures: [{mesh: tumour.obj, tissue: liver}]\n" if space == "RAS" else "")
-        if space == "RAS":
-            validate_scene_folder(folder)
-    with pytest.raises(ValueError, match=r"scene\.yaml: tumour\.obj is in LPS, but labels are in RAS; export all"):
-        validate_scene_folder(folder)
-
-
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
@@ -237,17 +223,21 @@ def test_memory_is_less_than_three_times_the_volume(tmp_path: Path, caplog: pyte
     assert caplog.text == ""
 
 
-def test_meshes_that_3d_slicer_wrote_in_two_spaces_are_not_one_body(tmp_path: Path) -> None:
+def test_what_3d_slicer_wrote_in_two_spaces_is_not_one_body(tmp_path: Path) -> None:
+    """It says LPS or RAS in its meshes; labels are in RAS."""
     mesh = trimesh.creation.icosphere(2, radius=9).export(file_type="obj")
-    structures = [{"mesh": f"{name}.obj", "tissue": "liver"} for name in ("liver", "tumour")]
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump({"structures": structures}))
-    (tmp_path / "liver.obj").write_text(f"# 3D Slicer output. SPACE=LPS\n{mesh}")
-    for space in ("LPS", "RAS"):
-        (tmp_path / "tumour.obj").write_text(f"# 3D Slicer output. SPACE={space}\n{mesh}")
-        if space == "LPS":
-            validate_scene_folder(tmp_path)
-    with pytest.raises(ValueError, match=r"liver\.obj is in LPS, but tumour\.obj is in RAS; export all as RAS"):
+    values, _ = three_balls()
+    labels = yaml.safe_load((write(tmp_path, values, OBLIQUE) / "scene.yaml").read_text())["labels"]
+    for beside, structures in ({"labels": labels}, ["tumour"]), ({}, ["liver", "tumour"]):
+        named = [{"mesh": f"{name}.obj", "tissue": "liver"} for name in structures]
+        (tmp_path / "scene.yaml").write_text(yaml.safe_dump({**beside, "structures": named}))
+        (tmp_path / "liver.obj").write_text(f"# 3D Slicer output. SPACE=RAS\n{mesh}")
+        (tmp_path / "tumour.obj").write_text(f"# 3D Slicer output. SPACE=RAS\n{mesh}")
         validate_scene_folder(tmp_path)
+        (tmp_path / "tumour.obj").write_text(f"# 3D Slicer output. SPACE=LPS\n{mesh}")
+        other = "labels are" if beside else r"liver\.obj is"
+        with pytest.raises(ValueError, match=rf"tumour\.obj is in LPS, but {other} in RAS; export all as RAS"):
+            validate_scene_folder(tmp_path)
 
 
 @pytest.mark.parametrize(("spacing", "tilt"), [((1, 1, 1), 15), ((1, 1, 5), 0), ((1, 1, 5), 15)])

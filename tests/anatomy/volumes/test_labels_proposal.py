@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-import nrrd
 import numpy as np
 import pytest
 import trimesh
 from skimage.filters import threshold_otsu
 
-from ablate.anatomy import load_scene, load_sites, proposed_scene, validate_scene_folder
-from support.volumes import MM, blocks, save
+from ablate.anatomy import load_scene, load_sites, proposed_scene
+from support.volumes import MM, save
 
 
 def organs() -> np.ndarray:
@@ -72,30 +71,6 @@ def test_organs_without_a_body_are_named_as_such(tmp_path: Path) -> None:
     filled = f"# Labels fill {100 * (organs() > 0).mean():.0f} % of the volume, and the rest is gel: name an image as"
     assert filled in proposed(tmp_path)
     assert len(load_scene(tmp_path).structures) == 2
-
-
-def test_segments_of_3d_slicer_are_known_by_their_names(tmp_path: Path) -> None:
-    header = {
-        "space": "LPS",
-        "space directions": np.diag([-MM, -MM, MM]),
-        "space origin": [0, 0, 0],
-    }
-    header |= {"Segment0_LabelValue": "7", "Segment0_Name": "Left kidney"}
-    header |= {"Segment1_LabelValue": "3", "Segment1_Name": "Liver"}
-    nrrd.write(str(tmp_path / "Segmentation.seg.nrrd"), organs(), header)
-    text = proposed(tmp_path)
-    assert "3: liver   # guessed: its name is that of a tissue" in text
-    assert "7: kidney   # guessed: its name has kidney" in text
-    assert [s.tissue.name for s in load_scene(tmp_path).structures] == ["liver", "kidney"]
-
-
-def test_many_labels_without_names_are_those_of_totalsegmentator(tmp_path: Path) -> None:
-    save(tmp_path / "all.nii", blocks([*range(1, 25), 110]))
-    assert "tissues: totalsegmentator   # guessed: 25 labels without names, the last is 110" in proposed(tmp_path)
-    assert "spleen" in {s.mesh.metadata["name"] for s in load_scene(tmp_path).structures}
-    labels = validate_scene_folder(tmp_path).labels
-    assert labels is not None
-    assert labels.guessed == "all.nii names no label, so its numbers are taken for TotalSegmentator's of version 2"
 
 
 def test_a_mask_and_an_image_with_gaps_beside_labels_do_not_mislead(tmp_path: Path) -> None:

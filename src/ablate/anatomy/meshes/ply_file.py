@@ -126,25 +126,21 @@ def _places(
     short = f"element {element.name}: its header declares {element.rows} rows"
     if not element.properties or element.rows > len(body) - start:
         raise ValueError(f"{short}, and {len(body) - start} bytes are left for them")
-    one_row, lengths, size = _walk(body, start, order, element, 1, short)
-    rows = start + (size - start) * np.arange(element.rows)
-    if rows[-1] + size - start <= len(body):  # rows alike are the common case
-        offsets = {name: place[0] - start + rows for name, place in one_row.items()}
-        alike = all(
-            (_values(body, offsets[one.name] - struct.calcsize("=" + one.count), order + one.count)
-             == lengths[one.name][0]).all()
-            for one in element.properties if one.count
-        )  # fmt: skip
-        if alike:
-            counts = {name: np.full(element.rows, length[0]) for name, length in lengths.items()}
-            return offsets, counts, int(rows[-1]) + size - start
-    return _walk(body, start, order, element, element.rows, short)
+    if any(one.count for one in element.properties):
+        return _walk(body, start, order, element, short)
+    sizes = [struct.calcsize("=" + one.kind) for one in element.properties]
+    rows = start + sum(sizes) * np.arange(element.rows + 1)
+    if rows[-1] > len(body):
+        raise ValueError(f"{short}, and it ends in row {1 + (len(body) - start) // sum(sizes)}")
+    befores = np.cumsum([0, *sizes])
+    offsets = {one.name: rows[:-1] + before for one, before in zip(element.properties, befores, strict=False)}
+    return offsets, {}, int(rows[-1])
 
 
 def _walk(
-    body: bytes, start: int, order: str, element: _Element, rows: int, short: str
+    body: bytes, start: int, order: str, element: _Element, short: str
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], int]:
-    """As `_places`, one row after the other."""
+    """As `_places`, one row after the other, because lists may have different lengths."""
     steps = [
         (one.name, struct.calcsize("=" + one.kind), struct.Struct(order + one.count) if one.count else None)
         for one in element.properties
@@ -152,7 +148,7 @@ def _walk(
     offsets: dict[str, list[int]] = {one.name: [] for one in element.properties}
     counts: dict[str, list[int]] = {one.name: [] for one in element.properties if one.count}
     place = start
-    for row in range(rows):
+    for row in range(element.rows):
         for name, size, count in steps:
             length = 1
             if count:
@@ -167,11 +163,8 @@ def _walk(
             place += length * size
         if place > len(body):
             raise ValueError(f"{short}, and it ends in row {row + 1}")
-    return _arrays(offsets), _arrays(counts), place
-
-
-def _arrays(lists: dict[str, list[int]]) -> dict[str, np.ndarray]:
-    return {name: np.array(values, np.int64) for name, values in lists.items()}
+    arrays = [{name: np.array(values, np.int64) for name, values in lists.items()} for lists in (offsets, counts)]
+    return arrays[0], arrays[1], place
 
 
 def _values(body: bytes, offsets: np.ndarray, kind: str) -> np.ndarray:

@@ -178,16 +178,7 @@ def _of_masks(masks: Sequence[_Looked], folder: Path, left_out: dict[str, str]) 
             left_out[mask.name] = f"a scene has at most {MOST_STRUCTURES} labels, with the body"
         else:
             kept.append(mask)
-    proposal: dict[str, Any] = {
-        "file": "",
-        "tissues": [],
-        "table": "",
-        "why": "",
-        "maybe": "",
-        "from": "",
-        "body": None,
-    }
-    proposal["masks"] = [(mask.name, *guessed[mask.name]) for mask in kept]
+    proposal = _NOTHING | {"masks": [(mask.name, *guessed[mask.name]) for mask in kept]}
     labels = _as_labels(proposal, folder)
     covered = set(covered_masks(order_of_masks(labels, "labels"), labels))
     for mask in kept:

@@ -1,10 +1,8 @@
 """What all measurements share, and the simulator measured one setting at a time away from those of the data set."""
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from statistics import median
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,7 +17,6 @@ from ablate.sources.prepare import frames_of, simulator_of
 from ablate.sources.source import source_of
 from ablate.study.job import Job
 from ablate.ultrasound import Probe, Simulator, SimulatorPrecision, SimulatorSettings
-from ablate.ultrasound.stages import Stage, stage_times
 
 T = TypeVar("T")
 Row = tuple[object, ...]
@@ -138,24 +135,6 @@ def _stacked(frames: Sequence[Frame]) -> Frames:
     return Frames(np.stack(images), np.stack(envelopes))
 
 
-def time_stages(bench: Bench, settings: SimulatorSettings) -> dict[str, float]:
-    """Measure the median milliseconds of each stage of an image, in order; the rest is `everything else`."""
-    simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
-    simulator.render(nudged(bench.poses[0]), bench.seed)
-    stages: dict[Stage, list[float]] = {stage: [] for stage in Stage}
-    rest = []
-    for pose in shown_progress(bench.poses, f"stages of {settings.rays} rays"):
-        with stage_times() as taken:
-            start = time.perf_counter()
-            simulator.image(pose, bench.seed)
-            whole = 1e3 * (time.perf_counter() - start)
-        for stage, times in stages.items():
-            times.append(sum(taken[stage]))
-        rest.append(whole - sum(times[-1] for times in stages.values()))
-    medians = {stage.value: median(times) for stage, times in stages.items() if any(times)}
-    return medians | {"everything else": median(rest)}
-
-
 def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     """List settings by the name and the value of what is changed; each ladder includes `base` itself."""
     values = {
@@ -167,13 +146,14 @@ def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     if base.compound_angles > 1:
         values["compound_angles"] = {angles for angles in ANGLES if angles <= base.compound_angles}
     return {
-        name: {value: _changed(base, name, value) for value in sorted(of_ladder)} for name, of_ladder in values.items()
+        name: {value: _changed(base, {name: value}) for value in sorted(of_ladder)}
+        for name, of_ladder in values.items()
     }
 
 
-def combined(base: SimulatorSettings) -> list[dict[str, Any]]:
+def combined(base: SimulatorSettings) -> list[dict[str, int]]:
     """List what is changed together, so that a frame takes the least time without another grid."""
-    cheap: dict[str, Any] = {"rays": 2, "layers": 1}
+    cheap = {"rays": 2, "layers": 1}
     if base.compound_angles == 1:
         return [cheap]
     return [cheap, {**cheap, "compound_angles": 1}]
@@ -184,8 +164,7 @@ def _fractions(length: int, step: int = 1) -> set[int]:
     return {step * max(1, round(fraction * length / step)) for fraction in _FRACTIONS}
 
 
-def _changed(base: SimulatorSettings, name: str, value: int) -> SimulatorSettings:
-    changes: dict[str, Any] = {name: value}
+def _changed(base: SimulatorSettings, changes: Mapping[str, Any]) -> SimulatorSettings:
     return replace(base, **changes)
 
 
@@ -223,7 +202,7 @@ class Measured:
 
 
 def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
-    """Measure the simulator: the reference, and errors and times, convergence, limits and stages.
+    """Measure the simulator: the reference, and errors and times, convergence and limits.
 
     The reference has `REFERENCE_RAYS` rays and otherwise the settings of the data set. The receiver's noise and the
     phases of clutter depend on `path_seed` and on the grid, not on the rays. With another number of rays and the same
@@ -248,7 +227,7 @@ def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
                 details += each("reference", RAYS_SERIES, value, values=changes)
             if value == getattr(base, name):
                 usual = rendered
-    together = {_words(changes): replace(base, **changes) for changes in combined(base)}
+    together = {_words(changes): _changed(base, changes) for changes in combined(base)}
     measured = render_all(bench, list(together.values()), (bench.seed, bench.seed + 1), "settings combined")
     for words, ((rendered, other), ms) in zip(together, measured, strict=True):
         points += each(COMBINED_SERIES, words, ms, values=mean_errors(rendered, reference, bench.probe))
@@ -259,8 +238,6 @@ def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
     double = _rendered(bench, replace(base, precision=SimulatorPrecision.float64), "float64")
     limits = mean_errors(usual, double, bench.probe)  # of the signal chain in single precision, on the same paths
     details += each("limit", "simulator, float32 against float64", base.rays, values=limits)
-    for rays in sorted({RAYS[0], base.rays, RAYS[-1]}):
-        details += each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays)))
     return reference, found
 
 
@@ -280,7 +257,7 @@ def _converging(bench: Bench, name: str) -> dict[str | int, dict[str, float]]:
     base = replace(bench.simulator, rays=_FINER * bench.simulator.rays)
     finest = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
     seeds = (bench.seed, bench.seed + 1)
-    (((fine, other), _),) = render_all(bench, [_changed(base, name, finest)], seeds, f"finest {name}")
+    (((fine, other), _),) = render_all(bench, [_changed(base, {name: finest})], seeds, f"finest {name}")
     grids = ladders(base)[name]
     measured = render_all(bench, list(grids.values()), seeds[:1], f"convergence of {name}")
     rendered: dict[str | int, Frames] = {"other scatterers": other}

@@ -230,16 +230,12 @@ def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Mea
     maps, inputs_ms = make_inputs(with_other_scatterers(bench), names, Space.beam)
     formula = Formula(bench.scene.tissues, bench.probe, bench.simulator)
     converter = scan_converter(bench.probe, bench.simulator.beam_shape, bench.simulator.image_shape)
-    images: dict[int, np.ndarray] = {}
 
-    def render_frame(number: int) -> None:
-        frame = max(number, 1) - 1
+    def render_frame(frame: int) -> np.ndarray:
         of_frame = formula.insonified({name: of_all[frame] for name, of_all in maps.items()})
-        images[frame] = converter.to_image(formula(of_frame, int(bench.frames[frame])))
+        return converter.to_image(formula(of_frame, int(bench.frames[frame])))
 
-    times = time_in_turns({FORMULA: render_frame}, len(bench.frames), warm_up=_WARMUP)
-    rendered = Frames(np.stack([images[frame] for frame in sorted(images)]))
-    formula_ms = float(times["ms"].median())
+    rendered, formula_ms = _all_frames(render_frame, len(bench.frames))
     setting = ", ".join(names)
     found = Measured()
     ms = sum(inputs_ms.values()) + formula_ms
@@ -252,7 +248,7 @@ def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Mea
 def _render(
     generator: Generator, values: np.ndarray, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
 ) -> tuple[Frames, float]:
-    """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
+    """Render every frame, and measure the median milliseconds from stored maps to grey levels."""
     device = next(generator.parameters()).device
     in_beam_space = generator.spec.space is Space.beam
     image_shape = bench.simulator.image_shape
@@ -261,16 +257,25 @@ def _render(
     converter = scan_converter(bench.probe, beam_shape, image_shape)
     fan = np.ones(beam_shape, bool) if in_beam_space else converter.mask
     mask = torch.from_numpy(fan).to(device)
-    images: dict[int, np.ndarray] = {}
 
-    def render_frame(number: int) -> None:
-        frame = max(number, 1) - 1
+    def render_frame(frame: int) -> np.ndarray:
         of_frame = {name: of_all[frame : frame + 1] for name, of_all in maps.items()}
         given = {name: read.to(device) for name, read in network_inputs(of_frame, values, fan).items()}
         image = render(given, torch.tensor([int(bench.frames[frame])], device=device))
         with without_teams():
             levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device
-        images[frame] = converter.to_image(levels) if in_beam_space else levels
+        return converter.to_image(levels) if in_beam_space else levels
 
-    times = time_in_turns({NETWORK: render_frame}, len(bench.frames), warm_up=_WARMUP)
+    return _all_frames(render_frame, len(bench.frames))
+
+
+def _all_frames(render_frame: Callable[[int], np.ndarray], count: int) -> tuple[Frames, float]:
+    """Render every frame, and measure the median milliseconds of one, after a warm-up."""
+    images: dict[int, np.ndarray] = {}
+
+    def keep(number: int) -> None:
+        frame = max(number, 1) - 1
+        images[frame] = render_frame(frame)
+
+    times = time_in_turns({NETWORK: keep}, count, warm_up=_WARMUP)
     return Frames(np.stack([images[frame] for frame in sorted(images)])), float(times["ms"].median())
