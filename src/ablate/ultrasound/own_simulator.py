@@ -87,7 +87,7 @@ class OwnSimulator(Simulator):
             raise self._error(echoes, f"returns {fault}")
         if isinstance(made, Rf | Iq):
             lines = _at_samples(made, self.settings.axial_samples).T
-            signal = np.stack([lines.real, lines.imag]).astype(self._chain.speckle.dtype)
+            signal = np.array([lines.real, lines.imag], self._chain.speckle.dtype, order="C")
             nothing = np.empty((0, signal.shape[2]), signal.dtype)
             return self._chain.shown([(signal, nothing)], echoes.pose, echoes.seed, display)
         picture = np.rint(made).astype(np.uint8)
