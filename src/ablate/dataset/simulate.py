@@ -95,7 +95,7 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
             try:
                 rendered = maps_of(frame, maps)
             except OwnSimulatorError as error:
-                raise OwnSimulatorError(f"frame {frame}: {error}") from error
+                raise OwnSimulatorError(f"{pairs.folder.name}, frame {frame}: {error}") from error
             for name, values in rendered.items():
                 if name not in stacks:
                     stacks[name] = np.zeros((len(frames), *values.shape), values.dtype)

@@ -68,10 +68,10 @@ def check_frames(settings: StudySettings, sites: SiteGrid | None) -> int:
             load_form(settings.scene.target)
             check_settings_of_own(settings.scene.target, simulator)
         if settings.task in _OF_OURS:
-            others = (
-                "allowed with scene.target are preview, render, simulate, study, plan, compare, export and describe"
+            others = ", ".join(task for task in Task if task not in _OF_OURS)
+            raise ConfigurationError(
+                f"task={settings.task}: shows ablate's own simulator alone; allowed with scene.target are {others}"
             )
-            raise ConfigurationError(f"task={settings.task}: simulates with ablate's own simulator alone; {others}")
     if settings.model.attenuation is Attenuation.compound and simulator.compound_angles == 1:
         what = "the mean over the angles of simulator.compound_angles, which is 1"
         raise ConfigurationError(f"model.attenuation=compound: {what}; allowed are integral, or 3, 5, 7 or 9 angles")
