@@ -1,5 +1,6 @@
 """PyMUST as `scene.target`: three small frames, made twice, and what it shows of points, speckle and surfaces."""
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -94,3 +95,10 @@ def test_another_kind_of_probe_is_refused() -> None:
     said = r"diverging_waves: fails: ValueError: probe\.kind=linear: allowed is convex"
     with pytest.raises(OwnSimulatorError, match=said):
         OwnSimulator(TARGET, scene, LinearProbe(), settings).image(np.eye(4))
+
+
+def test_where_it_is_missing_the_message_says_how_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pymust", None)
+    scene = Scene((slab(TISSUE, 15, 55),), GEL, "speckle")
+    with pytest.raises(OwnSimulatorError, match=r"PyMUST is not installed: pip install -e '\.\[compare\]'"):
+        OwnSimulator(TARGET, scene, PROBE, replace(SETTINGS, axial_samples=64)).image(np.eye(4))

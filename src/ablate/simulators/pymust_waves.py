@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -19,11 +19,6 @@ from threadpoolctl import threadpool_limits
 from ablate.extras import installing
 from ablate.ultrasound import ConvexProbe, Echoes, Iq
 from ablate.ultrasound.probe import sample_depths_mm, scanline_positions
-
-try:
-    import pymust
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(f"PyMUST is not installed: {installing('compare')}") from error
 
 _SCATTERERS_AT_A_TIME = 2000  # fastest: PyMUST's arrays then stay in the processor's cache
 _LINES_AT_A_TIME = 16
@@ -35,6 +30,15 @@ _UNIT_SEED, _UNIT_SCATTERERS = 0, 8000  # of the phantom that the level is measu
 _SURFACES = 8  # of that phantom, and parts of its depth
 _PARTS = 24
 _ORDER = 3  # of the polynomials of depth that levels follow
+
+
+def _pymust() -> Any:
+    """PyMUST, which is an extra; a ModuleNotFoundError that says how it is installed where it is missing."""
+    try:
+        import pymust
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"PyMUST is not installed: {installing('compare')}") from error
+    return pymust
 
 
 @dataclass(frozen=True)
@@ -58,9 +62,9 @@ class Array:
     f_number: float = 1.0
 
     @property
-    def param(self) -> pymust.utils.Param:
+    def param(self) -> Any:
         """PyMUST's description of the array."""
-        param = pymust.utils.Param()
+        param = _pymust().utils.Param()
         param.fc = self.frequency_mhz * 1e6
         param.fs = 4 * param.fc
         param.c = self.speed_m_s
@@ -202,18 +206,19 @@ def images(
         delays = np.hypot(element_x - source, element_z + apothem[0]) / param.c
         delays = (delays - delays.min())[None]
         signals = [_echoes(param, cloud, delays, shift, samples) for cloud in clouds]
-        stacked = np.stack([pymust.rf2iq(s, param.fs, param.fc).ravel(order="F") for s in signals], axis=-1)
+        stacked = np.stack([_pymust().rf2iq(s, param.fs, param.fc).ravel(order="F") for s in signals], axis=-1)
         for first in range(0, x.shape[1], _LINES_AT_A_TIME):
             lines = slice(first, first + _LINES_AT_A_TIME)
             shape = 1j * np.array([samples, array.elements])
-            matrix = pymust.dasmtx(shape, x[:, lines], z[:, lines], delays.copy(), param.copy()).tocsr()
+            matrix = _pymust().dasmtx(shape, x[:, lines], z[:, lines], delays.copy(), param.copy()).tocsr()
             for total, image in zip(totals, (matrix @ stacked).T, strict=True):
                 total[:, lines] += weight * image.reshape(x[:, lines].shape, order="F")
     return list(totals)
 
 
-def _echoes(param: pymust.utils.Param, cloud: Scatterers, delays: np.ndarray, shift: float, samples: int) -> np.ndarray:
+def _echoes(param: Any, cloud: Scatterers, delays: np.ndarray, shift: float, samples: int) -> np.ndarray:
     """What the elements receive, (samples, elements) float64; echoes add up, so the cloud is taken in parts."""
+    pymust = _pymust()
     options = pymust.utils.Options()
     options.dBThresh = _THRESHOLD_DB
     options.ElementSplitting = 1  # an element is shorter than a wavelength
