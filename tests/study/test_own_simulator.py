@@ -196,3 +196,11 @@ def test_what_cannot_be_done_is_refused_before_anything_is_made(module: Path, wo
     assert str(error.value).startswith(REFUSED[word])
     assert "\n" not in str(error.value)
     assert not (module.parent / "runs" / "data").exists()
+
+
+def test_pairs_made_elsewhere_are_not_simulated(module: Path) -> None:
+    words = ["preset=tiny", "scene=pairs", f"scene.folder={module.parent}", "scene.target=my_simulators.blurred"]
+    with pytest.raises(
+        ConfigurationError, match=r"^scene\.target=my_simulators\.blurred: pairs made elsewhere are not"
+    ):
+        execute([*words, f"runs_dir={module.parent / 'runs'}"])
