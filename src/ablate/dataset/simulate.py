@@ -21,10 +21,12 @@ from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.split import Part, resimulation_seed
 from ablate.networks.spec import COMPOUND, GRAIN, OF_SURFACES, Space
-from ablate.ultrasound import Probe, Simulator, SimulatorSettings
+from ablate.ultrasound import OwnSimulatorError, Probe, Simulator, SimulatorSettings, simulators_of
 from ablate.ultrasound.stages import Stage, stage_times
+from ablate.user_code import code_digest
 
 Timed = tuple[dict[str, np.ndarray], dict[str, float]]  # maps, and the milliseconds of each
+_Result = int | OSError | OwnSimulatorError  # frames that a process has made, or what stopped it
 _NUDGE_MM = 1e-3
 _OF_OTHERS = (
     Stage.pixel_labels,
@@ -41,13 +43,16 @@ class Recipe:
     """What every frame of a data set is made with.
 
     `settings` are those of the target; the low-quality image L differs in rays, layers and angles alone. `seed` is that
-    of the scatterers, one for an anatomy, because speckle belongs to the world.
+    of the scatterers, one for an anatomy, because speckle belongs to the world. `target` is the dotted path of a
+    simulator of the user's own, and `source` the digest of its code.
     """
 
     scene: Scene
     probe: Probe
     settings: SimulatorSettings
     seed: int = 0
+    target: str | None = None
+    source: str | None = None
 
 
 def of_low(settings: SimulatorSettings) -> SimulatorSettings:
@@ -56,28 +61,41 @@ def of_low(settings: SimulatorSettings) -> SimulatorSettings:
 
 
 def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
-    """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
+    """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`.
+
+    It raises an OwnSimulatorError, which names the frame, where a simulator of the user's own fails.
+    """
     of_target = recipe.settings
     again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
+    make = simulators_of(recipe.target)
+    if recipe.target is not None and code_digest(recipe.target) != recipe.source:
+        raise OwnSimulatorError(f"scene.target={recipe.target}: edited since the command began; repeat the command")
 
     @cache
     def simulator(settings: SimulatorSettings) -> Simulator:
-        return Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses)
+        return make(recipe.scene, recipe.probe, settings, poses=pairs.poses)
+
+    def maps_of(frame: int, maps: frozenset[str]) -> dict[str, np.ndarray]:
+        pose = pairs.poses[frame]
+        rendered: dict[str, np.ndarray] = {}
+        if maps & _WITHOUT_IMAGE:
+            beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES), COMPOUND in maps)
+            rendered = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
+        if "target" in maps:
+            rendered["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
+        if "resimulation" in maps and pairs.split[frame] != Part.train:
+            rendered["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
+        if "low" in maps:
+            rendered["low"] = simulator(of_low(of_target)).beam_image(pose, seed=recipe.seed)
+        return rendered
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
         stacks: dict[str, np.ndarray] = {}
         for place, frame in enumerate(frames):
-            pose = pairs.poses[frame]
-            rendered: dict[str, np.ndarray] = {}
-            if maps & _WITHOUT_IMAGE:
-                beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES), COMPOUND in maps)
-                rendered = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
-            if "target" in maps:
-                rendered["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
-            if "resimulation" in maps and pairs.split[frame] != Part.train:
-                rendered["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
-            if "low" in maps:
-                rendered["low"] = simulator(of_low(of_target)).beam_image(pose, seed=recipe.seed)
+            try:
+                rendered = maps_of(frame, maps)
+            except OwnSimulatorError as error:
+                raise OwnSimulatorError(f"{pairs.folder.name}, frame {frame}: {error}") from error
             for name, values in rendered.items():
                 if name not in stacks:
                     stacks[name] = np.zeros((len(frames), *values.shape), values.dtype)
@@ -111,6 +129,8 @@ def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: 
     ------
     OSError
         When a shard cannot be written, as on a full disk.
+    OwnSimulatorError
+        When a simulator of the user's own fails; the message names the frame.
     RuntimeError
         When a worker process dies.
     """
@@ -127,7 +147,7 @@ def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: 
 
 def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int) -> Iterator[int]:
     context = multiprocessing.get_context("spawn")
-    results: multiprocessing.Queue[int | OSError] = context.Queue()
+    results: multiprocessing.Queue[_Result] = context.Queue()
     arguments = (recipe, pairs, maps, results)
     processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
     try:
@@ -139,7 +159,7 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
             alive = any(process.is_alive() for process in processes)
             with suppress(queue.Empty):
                 frames = results.get(timeout=0.2)
-                if isinstance(frames, OSError):
+                if not isinstance(frames, int):
                     raise frames
                 yield frames
             for process in processes:
@@ -160,7 +180,7 @@ def _ended(code: int) -> str:
     return f"was ended by {signal.Signals(-code).name}; {often}"
 
 
-def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], results: multiprocessing.Queue[int | OSError]) -> None:
+def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], results: multiprocessing.Queue[_Result]) -> None:
     import torch
 
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what is half-written is removed
@@ -169,12 +189,12 @@ def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], results: multiproc
     try:
         for frames in fill_pairs(pairs, maps, frame_simulator(recipe, pairs)):
             results.put(frames)
-    except OSError as error:
+    except (OSError, OwnSimulatorError) as error:
         results.put(error)
 
 
 def timed_maps(
-    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray, target: str | None = None
 ) -> Callable[[np.ndarray, int, Sequence[str], Space], Timed]:
     """A function that makes the maps of a frame and measures how long each takes.
 
@@ -187,6 +207,8 @@ def timed_maps(
         Those of the target; the low-quality image differs in rays and layers alone.
     poses : (n, 4, 4) float, mm
         Those that may be asked for, probe to world; they decide what of the scene is needed.
+    target : str, optional
+        Dotted path of a simulator of the user's own.
 
     Returns
     -------
@@ -197,7 +219,7 @@ def timed_maps(
         the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
-    simulator_of_low = cache(lambda: Simulator(scene, probe, of_low(settings), poses=poses))
+    simulator_of_low = cache(lambda: simulators_of(target)(scene, probe, of_low(settings), poses=poses))
     nothing = np.zeros(settings.image_shape, np.uint8)
 
     def make(pose: np.ndarray, seed: int, names: Sequence[str], space: Space) -> Timed:

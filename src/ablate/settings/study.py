@@ -88,6 +88,7 @@ class SceneSettings(Checked):
     folder: str | None = setting(None, "Folder of your own scene, or of your pairs.", is_path=True)
     triangles: int = setting(675_000, "Triangles of the built-in anatomy.", least=FEWEST_TRIANGLES)
     anatomy_seed: int = setting(0, "Which patient the built-in anatomy is.", least=0)
+    target: str | None = setting(None, "Simulator of your own, a function, as `my_package.my_simulator`.")
 
 
 @dataclass(frozen=True)

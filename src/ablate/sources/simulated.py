@@ -19,10 +19,13 @@ from ablate.networks import Attenuation, Space
 from ablate.setting import identity, plain
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
 from ablate.sources.data_set import PAIRS_RECIPE, training_frames
-from ablate.ultrasound import SIMULATOR_VERSION, fan_mask, with_patient_gain
+from ablate.ultrasound import SIMULATOR_VERSION, check_settings_of_own, fan_mask, load_form, with_patient_gain
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.pulse import pulse_in_words
 from ablate.ultrasound.settings import SimulatorSettings, TimeGain
+from ablate.user_code import code_digest
+
+_OF_OURS = (Task.view, Task.precision)  # they ask for one frame after another at many settings
 
 
 def identity_of(settings: StudySettings, scene: Mapping[str, object]) -> dict[str, Any]:
@@ -35,11 +38,14 @@ def identity_of(settings: StudySettings, scene: Mapping[str, object]) -> dict[st
     simulator = identity(settings.simulator)
     if settings.simulator.compound_angles == 1:  # nothing is steered
         del simulator["compound_angles"], simulator["compound_steer_deg"]
+    target = settings.scene.target
+    own = {} if target is None else {"target": {"path": target, "source": code_digest(target)}}
     return {
         "scene": dict(scene),
         "probe": plain(settings.probe),
         "simulator": simulator,
         "simulator_version": SIMULATOR_VERSION,
+        **own,
         "dataset": chosen,
         **PAIRS_RECIPE,
     }
@@ -58,6 +64,15 @@ def check_frames(settings: StudySettings, sites: SiteGrid | None) -> int:
     simulator = settings.simulator
     with refusing("simulator."):
         simulator.check_probe(settings.probe)
+    if settings.scene.target is not None:
+        with refusing("scene."):
+            load_form(settings.scene.target)
+            check_settings_of_own(settings.scene.target, simulator)
+        if settings.task in _OF_OURS:
+            others = ", ".join(task for task in Task if task not in _OF_OURS)
+            raise ConfigurationError(
+                f"task={settings.task}: shows ablate's own simulator alone; allowed with scene.target are {others}"
+            )
     if settings.model.attenuation is Attenuation.compound and simulator.compound_angles == 1:
         what = "the mean over the angles of simulator.compound_angles, which is 1"
         raise ConfigurationError(f"model.attenuation=compound: {what}; allowed are integral, or 3, 5, 7 or 9 angles")
@@ -174,7 +189,8 @@ def simulate_data(
     mask = fan_mask(settings.probe, settings.simulator.image_shape)
     names = [tissue.name for tissue in scene.tissues]
     stored_as = dataset.StoredAs(settings.dataset.shard, names, Space.beam, settings.probe, simulator.beam_shape)
-    made_with = Recipe(scene, settings.probe, simulator, settings.dataset.seed)
+    own: Any = recipe.get("target", {"path": None, "source": None})
+    made_with = Recipe(scene, settings.probe, simulator, settings.dataset.seed, own["path"], own["source"])
     before = moved_frames(np.flatnonzero(layout.split == Part.test))
     poses, motions = moved_poses(layout.poses[before], settings.probe, simulator.scanlines)
     about["moved"] = np.repeat(before, len(Motion)).tolist()

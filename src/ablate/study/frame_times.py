@@ -279,5 +279,5 @@ def _map_maker(settings: StudySettings, data: DataSet) -> Callable[[int, int, Se
 
     scene, _ = source.scene()
     simulator = replace(settings.simulator, time_gain_db=data.time_gain_db)
-    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses)
+    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses, settings.scene.target)
     return lambda frame, turn, *of: make(nudged(data.pairs.poses[frame], turn), settings.dataset.seed, *of)

@@ -18,9 +18,10 @@ from ablate.sources.source import source_of
 from ablate.storage import known_json, write_image, write_json, written_whole
 from ablate.study.job import Job
 from ablate.tasks.export import check_dicom
-from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator, SimulatorSettings
+from ablate.ultrasound import SIMULATOR_VERSION, Frame, SimulatorSettings, simulators_of
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.pulse import pulse_widths
+from ablate.user_code import code_digest
 
 _PREVIEW = frozenset({"segmentation", "target"})
 _FRAME_MS = 50  # of a cine: 20 frames a second
@@ -41,7 +42,7 @@ def render(jobs: Sequence[Job]) -> int:
     chosen = simulator_of(settings, job.data, scene, grid, poses)
     made_with = _made_with(settings, chosen, scene, poses)
     folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
-    simulator = Simulator(scene, settings.probe, chosen, poses=poses)
+    simulator = simulators_of(settings.scene.target)(scene, settings.probe, chosen, poses=poses)
     images = []
     for i, pose in enumerate(poses):
         frame = simulator.render(pose, seed=settings.dataset.seed)  # as a data set would hold it
@@ -103,8 +104,11 @@ def _made_with(
     settings: StudySettings, simulator: SimulatorSettings, scene: Scene, poses: np.ndarray
 ) -> dict[str, Any]:
     height_mm, width_mm = pixel_size_mm(settings.probe, simulator.image_shape)
+    target = settings.scene.target
+    own = {} if target is None else {"target_source": code_digest(target)}
     return {
         "scene": plain(settings.scene),
+        **own,
         "probe": plain(settings.probe),
         "simulator": plain(simulator),
         "pulse_mm": dict(pulse_widths(settings.probe, simulator)._asdict()),
@@ -128,7 +132,7 @@ def preview(jobs: Sequence[Job]) -> int:
         image, segmentation = (frames.read(name, [frame])[0] for name in ("target", "segmentation"))
     else:
         chosen = simulator_of(settings, job.data, scene, grid, frames.poses)
-        simulator = Simulator(scene, settings.probe, chosen, poses=frames.poses)
+        simulator = simulators_of(settings.scene.target)(scene, settings.probe, chosen, poses=frames.poses)
         rendered = simulator.render(frames.poses[frame], seed=settings.dataset.seed)  # as the data set will hold it
         image, segmentation = rendered.image, rendered.segmentation
     part, site = Part(frames.split[frame]).name, frames.sites[frame]

@@ -1,7 +1,15 @@
+from .echoes import Echoes as Echoes
+from .echoes import Iq as Iq
+from .echoes import Rf as Rf
 from .frame import Beam as Beam
 from .frame import Frame as Frame
 from .imaging.bmode import Display as Display
 from .imaging.lattice import grain as grain
+from .own_simulator import OwnSimulator as OwnSimulator
+from .own_simulator import OwnSimulatorError as OwnSimulatorError
+from .own_simulator import check_settings_of_own as check_settings_of_own
+from .own_simulator import load_form as load_form
+from .own_simulator import simulators_of as simulators_of
 from .patient_gain import with_patient_gain as with_patient_gain
 from .probe import fan_mask as fan_mask
 from .probe import position_maps as position_maps

@@ -56,7 +56,8 @@ class Frame:
     mask : (H, W) bool
         The fan; equal to `segmentation > 0`.
     envelope : (axial samples, scanlines) float32
-        Linear envelope before TGC, noise floor and log; the mean of all angles.
+        Linear envelope before TGC, noise floor and log; the mean of all angles. Empty, (0, 0), where a simulator of the
+        user's own has given grey levels.
     beam : Beam or None
         The same before scan conversion; image and attenuation are made from it. None in a frame made elsewhere.
     probe : Probe or None

@@ -14,6 +14,7 @@ import torch
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
+from ablate.ultrasound.echoes import Echoes, echoes_of
 from ablate.ultrasound.frame import Beam, Frame
 from ablate.ultrasound.imaging.bmode import Display, Prepared, Returned, SignalChain, means_of_rows
 from ablate.ultrasound.imaging.compounding import shares
@@ -168,6 +169,12 @@ class Simulator:
         with without_teams(), torch.inference_mode():
             prepared = None if self._plan.anechoic else self._of(pose, Simulator._prepare)
             return self._chain.image(prepared, pose, seed, display)
+
+    def echoes(self, pose: np.ndarray, seed: int = 0) -> Echoes:
+        """What a simulator of your own is given of a pose; ValueErrors are those of `render`."""
+        pose, seed = check_pose(pose), check_seed(seed)
+        with without_teams(), torch.inference_mode():
+            return echoes_of(self._chain, self._of(pose, Simulator._prepare), pose, seed)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.

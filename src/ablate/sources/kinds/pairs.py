@@ -68,6 +68,9 @@ class PairFolder:
 
     def check(self, label: str) -> int:
         """See `Source.check`; every map that the variant reads must be there."""
+        if target := self.settings.scene.target:
+            only = "pairs made elsewhere are not simulated; allowed with scene=fetal and scene=folder"
+            raise ConfigurationError(f"scene.target={target}: {only}")
         with refusing():
             checked = self.checked()
         _check_reads(self.settings.model, label, checked)

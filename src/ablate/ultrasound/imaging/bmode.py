@@ -139,7 +139,7 @@ class SignalChain:
     """Makes images of what rays bring back, for one probe and one set of settings, on `settings.device`."""
 
     def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
-        self.probe, self.settings = probe, settings
+        self.tissues, self.probe, self.settings = tuple(tissues), probe, settings
         self.dtype: torch.dtype = getattr(torch, settings.precision.value)
         self.convert = ScanConverter(probe, settings.beam_shape, settings.image_shape)
         self.spread = point_spread(probe, settings, self.dtype)
@@ -170,12 +170,23 @@ class SignalChain:
         keys_of_sets = [zlib.crc32(pose.tobytes() + salt) for salt in salts]
         return kept[1], [(key % 65521, key // 7) for key in keys_of_sets]
 
+    def reverberation(self, clutter: np.ndarray, pose: np.ndarray, seed: int) -> np.ndarray:
+        """Reverberation of the frame's own scanlines with the phases that its image has, (scanlines, samples) complex.
+
+        `clutter` is that of `Returned`; pose and seed are those of `image`.
+        """
+        noise, shifts = self.noise(pose, seed)
+        if not len(clutter):
+            return np.zeros(noise.shape[1:], np.complex64)
+        shift = shifts[len(shifts) // 2]
+        by = [-(first + count // 2) for first, count in zip(shift, clutter.shape, strict=True)]
+        real, imaginary = np.roll(noise, by, axis=(1, 2))
+        return clutter * (real + 1j * imaginary)
+
     def image(
         self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The picture of what rays bring back, or of nothing.
-
-        The receiver's noise has one level before the gain: it is seen where the gain is large, deep and in fluid.
+        """The picture of what rays bring back, or of nothing, and its envelope, as `shown` gives them.
 
         Parameters
         ----------
@@ -185,6 +196,32 @@ class SignalChain:
             From probe to world; the noise depends on it.
         seed : int
             Of the scatterers and of the noise.
+        display : Display, optional
+            What an operator sets of the picture.
+        """
+        signals = [self._signal(prepared, number, seed) for number in range(len(self.sets))]
+        return self.shown(signals, pose, seed, display)
+
+    def shown(
+        self,
+        signals: Sequence[tuple[np.ndarray, np.ndarray]],
+        pose: np.ndarray,
+        seed: int,
+        display: Display | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Detect, amplify and compress signals, and average them.
+
+        The receiver's noise has one level before the gain: it is seen where the gain is large, deep and in fluid.
+
+        Parameters
+        ----------
+        signals : sequence of two arrays
+            Of each of `sets`: the signal, (2, scanlines, samples), which is overwritten, and the reverberation,
+            (scanlines or 0, samples).
+        pose : (4, 4) float
+            From probe to world; the noise depends on it.
+        seed : int
+            Of the noise.
         display : Display, optional
             What an operator sets of the picture.
 
@@ -201,7 +238,6 @@ class SignalChain:
         if display is not None:
             gain = gain * 10 ** (display.gain_at(self._range_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)
-        signals = [(*self._signal(prepared, number, seed), noise) for number in range(len(self.sets))]
         envelope, grey = np.zeros((2, *noise.shape[1:]), noise.dtype)
         of_one, power_of_one = (np.empty_like(envelope) if len(signals) > 1 else part for part in (envelope, grey))
         picture = np.empty(settings.beam_shape, np.uint8)
@@ -209,7 +245,7 @@ class SignalChain:
         def shown(begin: int, end: int) -> None:
             some = slice(begin, end)
             for number, (signal, shift) in enumerate(zip(signals, shifts, strict=True)):
-                _received(signal, shift, gain[number], floor, (of_one, power_of_one), begin, end)
+                _received((*signal, noise), shift, gain[number], floor, (of_one, power_of_one), begin, end)
                 if len(signals) > 1:
                     envelope[some] += self._shares[number][some] * of_one[some]
                     grey[some] += self._shares[number][some] * np.sqrt(power_of_one[some])
