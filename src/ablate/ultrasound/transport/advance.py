@@ -10,7 +10,17 @@ import numpy as np
 
 from ablate.ultrasound.compiled import Arrays, Vector, compiled, step
 from ablate.ultrasound.media import Medium
-from ablate.ultrasound.surfaces.embree import Asked, asked_ray, at
+from ablate.ultrasound.surfaces.embree import (
+    PACKET,
+    Asked,
+    Hit,
+    Packet,
+    ask_together,
+    asked_packet,
+    asked_ray,
+    at,
+    hit_of,
+)
 from ablate.ultrasound.surfaces.line_walk import owner, toggle
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.lines import Nodes, passed
@@ -62,7 +72,7 @@ def bounces(
         The same, afterwards.
     """
     rays, inside, echoes = arrays
-    embree = address, asked_ray()
+    embree = address, asked_ray(), asked_packet()
     while n > 0:
         if rows < MAX_ROWS:
             for i in range(n):
@@ -84,7 +94,7 @@ def grown(rows: np.ndarray, count: int) -> np.ndarray:
 
 @compiled
 def advance(
-    embree: tuple[int, Asked],
+    embree: tuple[int, Asked, Packet],
     rays: np.ndarray,
     inside: np.ndarray,
     echoes: np.ndarray,
@@ -99,8 +109,9 @@ def advance(
 
     Parameters
     ----------
-    embree : tuple of int and Asked
-        Address of the geometry, and room to ask for a hit.
+    embree : tuple of int, Asked and Packet
+        Address of the geometry, and room to ask for a hit and for several: direct rays come first, scanline by
+        scanline, and go nearly the same way.
     rays : (2 n or more,) RAY
         The first n are advanced; what comes of them takes their place.
     inside : (2 n or more, words) uint32
@@ -120,9 +131,10 @@ def advance(
         How many echoes were written.
     """
     transmitted, reflected, received = 0, n, 0
+    direct = _direct_rays(rays, n) if view.together else 0
     for i in range(n):
         ray = rays[i]
-        hit = look_ahead(embree, ray)
+        hit = _next_hit(embree, rays, i, direct)
         medium = medium_of(view.media, ray.medium)
         astray = False
         if ray.reflections == 0:
@@ -179,6 +191,26 @@ def advance(
         _copy(rays, inside, i, transmitted)
         transmitted += 1
     return transmitted, received
+
+
+@compiled
+def _direct_rays(rays: np.ndarray, n: int) -> int:
+    """How many of the rays are direct: they come first."""
+    for i in range(n):
+        if rays[i].reflections > 0:
+            return i
+    return n
+
+
+@step
+def _next_hit(embree: tuple[int, Asked, Packet], rays: np.ndarray, i: int, together: int) -> Hit:
+    """The next surface of a ray; the first rays, so many of them, are asked for together, a packet at its first one."""
+    address, asked, packet = embree
+    if i >= together:
+        return look_ahead((address, asked), rays[i])
+    if i % PACKET == 0:
+        ask_together(address, packet, rays, i, min(PACKET, together - i))
+    return hit_of(packet, i % PACKET)
 
 
 @step
@@ -238,7 +270,7 @@ def _share(ray: Ray, scattering: Scattering, link: bounce.Connection, view: View
         # of the image makes up for loss in tissue, not in fluid.
         ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
         faint_db = link.two_way_db + ahead_db / 2 + min(link.aside_db, bounce.MOST_ASIDE_DB)
-    return bounce.go_on(ray, scattering.pressure, drawn.choice, drawn.survival, faint_db, view.roulette_db)
+    return bounce.go_on(ray, scattering.pressure, drawn, faint_db, view.roulette_db, view.followed)
 
 
 @step
