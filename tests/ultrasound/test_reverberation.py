@@ -107,6 +107,20 @@ def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None
     assert np.std(means, ddof=1) < 0.1 * np.mean(means)
 
 
+def test_fewer_reflected_rays_of_many_bring_as_much(gel, slab, probe, one_line) -> None:
+    """A quarter of 32 rays is followed, with four times the weight, half of 16 with twice the weight."""
+    plate = Tissue("plate", 1540, 15.0, 0.0, roughness=0.0)
+    scene = Scene((slab(plate, 20.0, 22.0), slab(plate, 40.0, 400.0)), gel, "s")
+    amplitudes, counts = [], []
+    for rays in (16, 32):
+        many = [follow(scene, probe, replace(one_line, rays=rays, path_seed=seed))[0] for seed in range(400)]
+        late = np.concatenate([echoes.amplitude[echoes.clutter & (echoes.depth_mm < 70)] for echoes in many])
+        amplitudes.append(late.sum(dtype=float) / (400 * rays))
+        counts.append(len(late))
+    assert amplitudes[1] == pytest.approx(amplitudes[0], rel=0.05)
+    assert counts[1] < 1.1 * counts[0]
+
+
 def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:
     lossy = Tissue("lossy", 1540, 1.5, 1.0, roughness=0.0)
     plate = Tissue("plate", 1540, 15.0, 0.0, roughness=0.0)

@@ -40,7 +40,7 @@ from ablate.ultrasound.transport.rays import (
     start_rays,
 )
 
-_GROUPS_OF_A_PART = 12  # with larger parts a thread waits for the others at the end
+_GROUPS_OF_A_PART = 24  # with larger parts a thread waits for the others at the end
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white; of 32 rays, 6 dB more.
