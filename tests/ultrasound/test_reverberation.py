@@ -66,7 +66,7 @@ def test_reverberation_of_a_film(gel, slab, probe, one_line, pressure, thickness
     film = Tissue("film", 1540, 1.5 * (1 + pressure) / (1 - pressure), 0.0, roughness=0.0)
     scene, totals = Scene((slab(film, 50.0, 50.0 + thickness_mm),), gel, "s"), []
     for seed in range(10):
-        settings = replace(one_line, rays=30_000, path_seed=seed)
+        settings = replace(one_line, rays=10_000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
         totals.append(echoes.amplitude[echoes.clutter].sum(dtype=float) / settings.rays)
     error = np.std(totals, ddof=1) / np.sqrt(10)
@@ -83,7 +83,7 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (10.0, 20.0), strict=True)), gel, "s")
     means = []
     for seed in range(10):
-        settings = replace(one_line, rays=10_000, path_seed=seed)
+        settings = replace(one_line, rays=30_000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
         near = [np.abs(echoes.depth_mm - (20 + 10 * k)) < 1 for k in range(1, 8)]
         means.append([echoes.amplitude[each & echoes.clutter].sum(dtype=float) / settings.rays for each in near])
