@@ -11,15 +11,11 @@ import numpy as np
 from ablate.ultrasound.compiled import Arrays, Vector, compiled, step
 from ablate.ultrasound.media import Medium
 from ablate.ultrasound.surfaces.embree import (
-    PACKET,
     Asked,
-    Hit,
     Packet,
-    ask_together,
     asked_packet,
     asked_ray,
     at,
-    hit_of,
 )
 from ablate.ultrasound.surfaces.line_walk import owner, toggle
 from ablate.ultrasound.transport import bounce
@@ -27,14 +23,15 @@ from ablate.ultrasound.transport.lines import Nodes, passed
 from ablate.ultrasound.transport.rays import MAX_ROWS, Drawn, Ray, View, tabulated, unstratified
 from ablate.ultrasound.transport.scattering import Scattering, along, sample_scattering
 from ablate.ultrasound.transport.steps import (
+    direct_rays,
     direction_of,
     goes_astray,
     interface_of,
     is_fresh,
     length_ahead,
-    look_ahead,
     medium_of,
     move_up,
+    next_hit,
     origin_of,
     surface_of,
 )
@@ -131,10 +128,10 @@ def advance(
         How many echoes were written.
     """
     transmitted, reflected, received = 0, n, 0
-    direct = _direct_rays(rays, n) if view.together else 0
+    direct = direct_rays(rays, n) if view.together else 0
     for i in range(n):
         ray = rays[i]
-        hit = _next_hit(embree, rays, i, direct)
+        hit = next_hit(embree, rays, i, direct)
         medium = medium_of(view.media, ray.medium)
         astray = False
         if ray.reflections == 0:
@@ -191,26 +188,6 @@ def advance(
         _copy(rays, inside, i, transmitted)
         transmitted += 1
     return transmitted, received
-
-
-@compiled
-def _direct_rays(rays: np.ndarray, n: int) -> int:
-    """How many of the rays are direct: they come first."""
-    for i in range(n):
-        if rays[i].reflections > 0:
-            return i
-    return n
-
-
-@step
-def _next_hit(embree: tuple[int, Asked, Packet], rays: np.ndarray, i: int, together: int) -> Hit:
-    """The next surface of a ray; the first rays, so many of them, are asked for together, a packet at its first one."""
-    address, asked, packet = embree
-    if i >= together:
-        return look_ahead((address, asked), rays[i])
-    if i % PACKET == 0:
-        ask_together(address, packet, rays, i, min(PACKET, together - i))
-    return hit_of(packet, i % PACKET)
 
 
 @step
