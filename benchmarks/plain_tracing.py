@@ -2,7 +2,8 @@
 
 `transport/advance.py` does the same for all rays of a frame at once, compiled, with Embree. A test finds equal echoes
 with both, tests/ultrasound/test_plain_tracing.py. The reasons of the constants are in `transport/bounce.py`, and the
-equations in docs/simulator.md, sections 5 and 6. Left out here are the illumination and `depth_mode=time_of_flight`.
+equations in docs/simulator.md, sections 5 and 6. Left out here are the illumination, `depth_mode=time_of_flight`, and
+that a smaller part of the reflected rays is followed where there are more than 16 on a scanline.
 """
 
 from collections.abc import Callable

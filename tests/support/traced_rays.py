@@ -6,13 +6,14 @@ from ablate.anatomy import Scene
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.surfaces.geometry import Geometry
+from ablate.ultrasound.transport.bounce import reverberation_share
 from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 
 
 def follow(
-    scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, roulette_db: float = -200.0
+    scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, roulette_db: float = -200.0, together: bool = False
 ) -> tuple[np.recarray, Nodes]:
     """Echoes, with the fields of ECHO as attributes, and the illumination at each millimetre."""
     plan = plan_scene(scene, probe, settings, None)
@@ -30,9 +31,11 @@ def follow(
         origins=bundle.origins,
         ways=bundle.ray_directions,
         rays=settings.rays,
+        together=together,
         path_seed=draws.seed,
         depth_mm=probe.depth_mm,
         roulette_db=roulette_db,
+        followed=reverberation_share(settings.rays),
         gain_db_mm=0.0,
         step_mm=geometry.step_mm,
     )

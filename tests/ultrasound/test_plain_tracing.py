@@ -50,8 +50,8 @@ def in_order(echoes: np.ndarray) -> np.ndarray:
     return echoes[np.lexsort((echoes[:, 2], np.round(echoes[:, 1], 3), echoes[:, 0]))]
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.05])
-def test_echoes_are_those_of_the_plain_tracer(gel: Tissue, slab, ball, roughness: float) -> None:
+@pytest.mark.parametrize(("roughness", "together"), [(0.0, False), (0.05, False), (0.05, True)])
+def test_echoes_are_those_of_the_plain_tracer(gel: Tissue, slab, ball, roughness: float, together: bool) -> None:
     """A strong interface, one that bends rays, and a sphere that overlaps both; reflections of several orders."""
     soft = Tissue("soft", 1460, 2.4, 0.5, roughness=roughness, specularity=2.0, thickness_mm=0.3)
     hard = Tissue("hard", 2000, 5.0, 1.0, roughness=roughness, specularity=0.0)
@@ -59,7 +59,7 @@ def test_echoes_are_those_of_the_plain_tracer(gel: Tissue, slab, ball, roughness
     parts = slab(soft, 20.0, 400.0), slab(hard, 70.0, 90.0, 300.0), ball(deep, (5.0, 0.0, 55.0), 22.0)
     scene = Scene(parts, gel, "s")
     probe = ConvexProbe(frequency_mhz=3.0)
-    found, _ = follow(scene, probe, SETTINGS, ROULETTE_DB)
+    found, _ = follow(scene, probe, SETTINGS, ROULETTE_DB, together)
     fast = in_order(np.stack([found.group, found.depth_mm, found.amplitude, found.clutter], axis=1).astype(float))
     slow = in_order(plain(scene, probe, SETTINGS))
     assert len(slow) > 200

@@ -1,6 +1,7 @@
 """Reflected rays: their number, weight and length; the sum of their echoes is right and finite."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from support.traced_rays import follow
 
 @pytest.mark.parametrize("pressure", [0.06, 0.25, 0.6, 0.98])
 def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure) -> None:
-    """Half of them, by strata: the reflected part has twice the weight |R_p|, the same for all of them and any seed.
+    """Every second or fourth one, by strata, with so much more of the weight |R_p|: all alike, whatever the seed.
 
     They meet a face from behind that is too weak to reflect them again, so each echoes once.
     """
@@ -22,22 +23,22 @@ def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure
     weak, hard = (Tissue("t", 1540, z, 0.0, roughness=0.0, specularity=0.0) for z in impedances)
     r = 0.1 / 3.1
     expected = (1 - r**2) * r * pressure
-    for seed in range(5):
+    for seed, (rays, each) in product(range(5), ((16, 2), (64, 4))):
         scene = Scene((slab(weak, 20.0, 400.0), slab(hard, 40.0, 400.0)), gel, "s")
-        echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=64))
-        np.testing.assert_allclose(echoes.amplitude[echoes.clutter], np.full(32, 2 * expected), rtol=1e-5)
+        echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=rays))
+        np.testing.assert_allclose(echoes.amplitude[echoes.clutter], np.full(rays // each, each * expected), rtol=1e-5)
 
 
 def test_weak_reverberation_has_no_error(gel, slab, probe, one_line) -> None:
     """Off faces of R_p = 0.08: at probability R, 8 of 200,000 rays would be reflected twice and make the echo.
 
-    A surface splits a ray until its second reflection: half of the rays make the echo, twice as strong.
+    A surface splits a ray until its second reflection: a quarter of the rays make the echo, four times as strong.
     """
     tissues = (Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.08 / 0.92), ("b", 1.5)))
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")
     echoes, _ = follow(scene, probe, one_line)
     thrice = echoes.amplitude[echoes.clutter & (np.abs(echoes.depth_mm - 90.0) < 1)]
-    np.testing.assert_allclose(thrice, np.full(one_line.rays // 2, 2 * (1 - 0.08**2) * 0.08**3), rtol=1e-5)
+    np.testing.assert_allclose(thrice, np.full(one_line.rays // 4, 4 * (1 - 0.08**2) * 0.08**3), rtol=1e-5)
 
 
 def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
@@ -82,7 +83,7 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (10.0, 20.0), strict=True)), gel, "s")
     means = []
     for seed in range(10):
-        settings = replace(one_line, rays=10_000, path_seed=seed)
+        settings = replace(one_line, rays=30_000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
         near = [np.abs(echoes.depth_mm - (20 + 10 * k)) < 1 for k in range(1, 8)]
         means.append([echoes.amplitude[each & echoes.clutter].sum(dtype=float) / settings.rays for each in near])
@@ -105,6 +106,20 @@ def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None
         means.append(echoes.amplitude[again].sum(dtype=float) / settings.rays)
     assert abs(np.mean(means) - 0.75 * 0.5**5) < 4 * np.std(means, ddof=1) / np.sqrt(10)
     assert np.std(means, ddof=1) < 0.1 * np.mean(means)
+
+
+def test_fewer_reflected_rays_of_many_bring_as_much(gel, slab, probe, one_line) -> None:
+    """A quarter of 32 rays is followed, with four times the weight, half of 16 with twice the weight."""
+    plate = Tissue("plate", 1540, 15.0, 0.0, roughness=0.0)
+    scene = Scene((slab(plate, 20.0, 22.0), slab(plate, 40.0, 400.0)), gel, "s")
+    amplitudes, counts = [], []
+    for rays in (16, 32):
+        many = [follow(scene, probe, replace(one_line, rays=rays, path_seed=seed))[0] for seed in range(400)]
+        late = np.concatenate([echoes.amplitude[echoes.clutter & (echoes.depth_mm < 70)] for echoes in many])
+        amplitudes.append(late.sum(dtype=float) / (400 * rays))
+        counts.append(len(late))
+    assert amplitudes[1] == pytest.approx(amplitudes[0], rel=0.05)
+    assert counts[1] < 1.1 * counts[0]
 
 
 def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:

@@ -139,16 +139,22 @@ class Simulator:
         display : Display, optional
             What an operator sets of the picture; without it the picture follows the settings alone.
         """
-        image, envelope = self._image(pose, seed, display)
-        segmentation, attenuation = self.maps(pose)
-        beam = self.beam_maps(pose, of_angles=self.settings.compound_angles > 1)
+
+        def maps() -> tuple[np.ndarray, np.ndarray, Beam]:
+            segmentation, attenuation = self.maps(pose)
+            beam = self.beam_maps(pose, of_angles=self.settings.compound_angles > 1)
+            return segmentation, attenuation, replace(beam, grain=self.grain(pose, seed))
+
+        # some steps of an image cannot be shared among threads
+        made = side_by_side(partial(self._image, pose, seed, display), maps)
+        (image, envelope), (segmentation, attenuation, beam) = made
         return Frame(
             segmentation=segmentation,
             attenuation=attenuation,
             image=self._chain.convert.to_image(image),
             mask=self.mask,
             envelope=np.ascontiguousarray(envelope.T, np.float32),
-            beam=replace(beam, image=image, grain=self.grain(pose, seed)),
+            beam=replace(beam, image=image),
             probe=self.probe,
             simulator=self.settings,
         )

@@ -26,6 +26,8 @@ _HIT = ("Ng_x", "Ng_y", "Ng_z", "u", "v", "primID", "geomID", "instID")
 #: The fields of RTCRayHit (rtcore_ray.h) in their order, of four bytes each.
 RAY_HIT = (*_RAY, *_HIT)
 _FLOATS = 24  # those of RTCRayHit and what may follow: it is aligned to 16 bytes
+_TNEAR = RAY_HIT.index("tnear")
+_DIRECTION = RAY_HIT.index("dir_x")
 _TFAR = RAY_HIT.index("tfar")
 _MASK = RAY_HIT.index("mask")
 _ID = RAY_HIT.index("id")
@@ -38,6 +40,10 @@ _NONE = np.uint32(0xFFFFFFFF)
 _MET, _FIRST = 4, 5  # behind a query's context: how many surfaces a line has met, and where they begin
 _OF_ONE = 2  # numbers that are noted of a surface: distance and structure
 _ROOM = 4096  # surfaces of a line, to begin with
+_COHERENT = 1 << 16  # rtcore.h: the rays of a packet go nearly the same way
+PACKET = 16  # rays of a packet
+_PACKET_FIELDS = len(RAY_HIT) + 1  # instPrimID follows
+_NATIVE_PACKET = 34  # RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED
 _POINTER, _WORD, _SIZE = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "rtcNewDevice": (_POINTER, (ctypes.c_char_p,)),
@@ -46,6 +52,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "rtcNewGeometry": (_POINTER, (_POINTER, ctypes.c_int)),
     "rtcSetSceneFlags": (None, (_POINTER, ctypes.c_int)),
     "rtcSetSharedGeometryBuffer": (None, (_POINTER, ctypes.c_int, _WORD, ctypes.c_int, _POINTER, _SIZE, _SIZE, _SIZE)),
+    "rtcIntersect16": (None, (_POINTER, _POINTER, _POINTER, _POINTER)),
     "rtcCommitGeometry": (None, (_POINTER,)),
     "rtcAttachGeometry": (_WORD, (_POINTER, _POINTER)),
     "rtcCommitScene": (None, (_POINTER,)),
@@ -75,16 +82,30 @@ def _loaded() -> ctypes.CDLL:
     library.rtcReleaseDevice(device)
     if major != MAJOR_VERSION:
         raise ImportError(f"embreex brings Embree {major}: allowed is embreex>=4,<5")
-    llvmlite.binding.add_symbol("rtcIntersect1", ctypes.cast(library.rtcIntersect1, _POINTER).value)
+    for name in ("rtcIntersect1", "rtcIntersect16"):
+        llvmlite.binding.add_symbol(name, ctypes.cast(getattr(library, name), _POINTER).value)
     return library
 
 
 #: Embree's own functions.
 library = _loaded()
 _intersect_one: Any = ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
+_intersect_packet: Any = ExternalFunction("rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp))
+
+
+def _has_packets() -> bool:
+    device = library.rtcNewDevice(None)
+    native = library.rtcGetDeviceProperty(device, _NATIVE_PACKET)
+    library.rtcReleaseDevice(device)
+    return bool(native)
+
+
+#: Whether the processor has vectors of 16 numbers; with shorter ones a packet takes longer than its rays.
+HAS_PACKETS = _has_packets()
 
 
 Asked = tuple[np.ndarray, np.ndarray, int]  # see `asked_ray`
+Packet = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # see `asked_packet`
 Line = tuple[np.ndarray, np.ndarray]  # see `asked_line`
 
 
@@ -100,10 +121,16 @@ class Hit(NamedTuple):
 @compiled
 def asked_ray() -> Asked:
     """Room for one ray and its hit, RTCRayHit as (24,) float32, aligned; the same in uint32; its address."""
-    room = np.zeros(_FLOATS + 16, np.float32)
-    past = (room.ctypes.data & 63) // 4
-    asked = room[16 - past : 16 - past + _FLOATS] if past else room[:_FLOATS]
+    asked = _aligned(_FLOATS)
     return asked, asked.view(np.uint32), asked.ctypes.data
+
+
+@compiled
+def _aligned(count: int) -> np.ndarray:
+    """Zeros that begin at a multiple of 64 bytes, (count,) float32."""
+    room = np.zeros(count + 16, np.float32)
+    past = (room.ctypes.data & 63) // 4
+    return room[16 - past : 16 - past + count] if past else room[:count]
 
 
 @compiled
@@ -136,6 +163,55 @@ def closest_of(address: int, asked: Asked, origin: Vector, direction: Vector, re
     numbers, words, _ = asked
     normal = float(numbers[_NORMAL]), float(numbers[_NORMAL + 1]), float(numbers[_NORMAL + 2])
     return Hit(float(numbers[_TFAR]), np.int32(words[_STRUCTURE]), np.int32(words[_TRIANGLE]), normal)
+
+
+@compiled
+def asked_packet() -> Packet:
+    """Room for a packet of rays and hits, RTCRayHit16: its fields, (fields, PACKET) float32, the same in uint32.
+
+    And which of them count, (PACKET,) int32; RTCIntersectArguments, (5,) int64.
+    """
+    fields = _aligned(_PACKET_FIELDS * PACKET).reshape(_PACKET_FIELDS, PACKET)
+    arguments = np.zeros(5, np.int64)
+    arguments[0] = _COHERENT - (1 << 32)  # all features
+    return fields, fields.view(np.uint32), _aligned(PACKET).view(np.int32), arguments
+
+
+@compiled
+def ask_together(address: int, packet: Packet, rays: np.ndarray, first: int, count: int) -> None:
+    """Ask for the closest hits of up to PACKET rays that go nearly the same way; each is the same as `closest_of`.
+
+    Parameters
+    ----------
+    address : int
+        That of the geometry.
+    packet : Packet
+        Room for the question and the answers, which `hit_of` reads.
+    rays : (n,) structured
+        Rays with `origin`, `direction` and `reach_mm`.
+    first, count : int
+        Which of them.
+    """
+    fields, words, counts, arguments = packet
+    fields[_TNEAR], words[_MASK] = 0.0, _NONE
+    words[_TRIANGLE], words[_STRUCTURE], words[_INSTANCE] = _NONE, _NONE, _NONE
+    for lane in range(PACKET):
+        counts[lane] = -1 if lane < count else 0
+    for lane in range(count):
+        ray = rays[first + lane]
+        for axis in range(3):
+            fields[axis, lane], fields[_DIRECTION + axis, lane] = ray.origin[axis], ray.direction[axis]
+        fields[_TFAR, lane] = max(ray.reach_mm, np.float32(0))
+    _intersect_packet(counts.ctypes.data, address, fields.ctypes.data, arguments.ctypes.data)
+
+
+@compiled
+def hit_of(packet: Packet, lane: int) -> Hit:
+    """The answer for one of a packet's rays."""
+    fields, words, _, _ = packet
+    normal = float(fields[_NORMAL, lane]), float(fields[_NORMAL + 1, lane]), float(fields[_NORMAL + 2, lane])
+    structure, triangle = np.int32(words[_STRUCTURE, lane]), np.int32(words[_TRIANGLE, lane])
+    return Hit(float(fields[_TFAR, lane]), structure, triangle, normal)
 
 
 @compiled

@@ -10,21 +10,28 @@ import numpy as np
 
 from ablate.ultrasound.compiled import Arrays, Vector, compiled, step
 from ablate.ultrasound.media import Medium
-from ablate.ultrasound.surfaces.embree import Asked, asked_ray, at
+from ablate.ultrasound.surfaces.embree import (
+    Asked,
+    Packet,
+    asked_packet,
+    asked_ray,
+    at,
+)
 from ablate.ultrasound.surfaces.line_walk import owner, toggle
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.lines import Nodes, passed
 from ablate.ultrasound.transport.rays import MAX_ROWS, Drawn, Ray, View, tabulated, unstratified
 from ablate.ultrasound.transport.scattering import Scattering, along, sample_scattering
 from ablate.ultrasound.transport.steps import (
+    direct_rays,
     direction_of,
     goes_astray,
     interface_of,
     is_fresh,
     length_ahead,
-    look_ahead,
     medium_of,
     move_up,
+    next_hit,
     origin_of,
     surface_of,
 )
@@ -62,7 +69,7 @@ def bounces(
         The same, afterwards.
     """
     rays, inside, echoes = arrays
-    embree = address, asked_ray()
+    embree = address, asked_ray(), asked_packet()
     while n > 0:
         if rows < MAX_ROWS:
             for i in range(n):
@@ -84,7 +91,7 @@ def grown(rows: np.ndarray, count: int) -> np.ndarray:
 
 @compiled
 def advance(
-    embree: tuple[int, Asked],
+    embree: tuple[int, Asked, Packet],
     rays: np.ndarray,
     inside: np.ndarray,
     echoes: np.ndarray,
@@ -99,8 +106,9 @@ def advance(
 
     Parameters
     ----------
-    embree : tuple of int and Asked
-        Address of the geometry, and room to ask for a hit.
+    embree : tuple of int, Asked and Packet
+        Address of the geometry, and room to ask for a hit and for several: direct rays come first, scanline by
+        scanline, and go nearly the same way.
     rays : (2 n or more,) RAY
         The first n are advanced; what comes of them takes their place.
     inside : (2 n or more, words) uint32
@@ -120,9 +128,10 @@ def advance(
         How many echoes were written.
     """
     transmitted, reflected, received = 0, n, 0
+    direct = direct_rays(rays, n) if view.together else 0
     for i in range(n):
         ray = rays[i]
-        hit = look_ahead(embree, ray)
+        hit = next_hit(embree, rays, i, direct)
         medium = medium_of(view.media, ray.medium)
         astray = False
         if ray.reflections == 0:
@@ -238,7 +247,7 @@ def _share(ray: Ray, scattering: Scattering, link: bounce.Connection, view: View
         # of the image makes up for loss in tissue, not in fluid.
         ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
         faint_db = link.two_way_db + ahead_db / 2 + min(link.aside_db, bounce.MOST_ASIDE_DB)
-    return bounce.go_on(ray, scattering.pressure, drawn.choice, drawn.survival, faint_db, view.roulette_db)
+    return bounce.go_on(ray, scattering.pressure, drawn, faint_db, view.roulette_db, view.followed)
 
 
 @step

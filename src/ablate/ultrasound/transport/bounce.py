@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ablate.ultrasound.compiled import Vector, compiled
 from ablate.ultrasound.media import Medium
-from ablate.ultrasound.transport.rays import Ray
+from ablate.ultrasound.transport.rays import Drawn, Ray
 from ablate.ultrasound.transport.scattering import Scattering, along, dot
 
 #: From this many reflections on, Russian roulette ends half of the rays at each further one and doubles the weight of
@@ -18,8 +18,10 @@ from ablate.ultrasound.transport.scattering import Scattering, along, dot
 ROULETTE_REFLECTIONS = 8
 
 #: Of the rays that surfaces reflect for the first time, this part is followed, with a larger weight: reverberation is
-#: spread over many scanlines, each of which has its own rays.
+#: spread over many scanlines, each of which has its own rays. From 32 rays of a group on it is half of this part, see
+#: `reverberation_share`.
 REVERBERATION_SHARE = 0.5
+_FEW_RAYS = 16
 
 #: Up to this many reflections a surface splits a ray into a reflected and a transmitted one, so that both keep the
 #: weights of their paths. From then on it sends one of the two, at random, so that rays do not multiply.
@@ -156,9 +158,18 @@ def reflects(pressure: float) -> bool:
     return abs(pressure) >= SMALLEST_REFLECTION
 
 
+def reverberation_share(rays: int) -> float:
+    """The part of the rays reflected for the first time that is followed, of so many `rays` of a group.
+
+    Half of it from 32 rays on: as many paths are then left as of 16 rays, and with H the error of an image, which is
+    that of direct rays, stays.
+    """
+    return REVERBERATION_SHARE / min(max(rays / _FEW_RAYS, 1.0), 2.0)
+
+
 @compiled
 def go_on(
-    ray: Ray, pressure: float, choice: float, luck: float, faint_db: float, roulette_db: float
+    ray: Ray, pressure: float, drawn: Drawn, faint_db: float, roulette_db: float, followed: float
 ) -> tuple[float, float]:
     """Weights of the reflected and of the transmitted ray, 0 where there is none; the ray's growth is updated.
 
@@ -168,13 +179,16 @@ def go_on(
         At the surface.
     pressure : float
         R_p.
-    choice, luck : float
-        Uniform numbers: which of the two a ray becomes that is not split, and whether it survives.
+    drawn : Drawn
+        Its uniform numbers: which of the two a ray becomes that is not split, and whether it survives.
     faint_db : float
         How much fainter than its weight the ray's next echo is expected to be.
     roulette_db : float
         Level under which Russian roulette may end it, dB.
+    followed : float
+        Part of the rays reflected for the first time that goes on.
     """
+    choice, luck = drawn.choice, drawn.survival
     reflection, through = abs(pressure), 1 - pressure * pressure
     # That a ray is reflected which is not split: then it keeps its weight, else 1 + |R_p| times that goes on.
     probability = reflection if reflects(pressure) else 0.0
@@ -184,8 +198,8 @@ def go_on(
         ray.growth *= reflection + through
     back, onward = ray.weight * reflection, ray.weight * through
     if ray.reflections <= SPLIT_REFLECTIONS:
-        followed = REVERBERATION_SHARE if ray.reflections == 0 else 1.0
-        back = _surviving(back, choice, faint_db, roulette_db, followed) if probability > 0 else 0.0
+        at_most = followed if ray.reflections == 0 else 1.0
+        back = _surviving(back, choice, faint_db, roulette_db, at_most) if probability > 0 else 0.0
         if ray.reflections > 0:
             onward = _surviving(onward, luck, faint_db, roulette_db, 1.0)
         return back, onward

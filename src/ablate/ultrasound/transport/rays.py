@@ -176,9 +176,11 @@ class View(NamedTuple):
     origins: np.ndarray  # (groups * rays, 3) float32, mm: where the rays leave the probe
     ways: np.ndarray  # (groups * rays, 3) float32, unit vectors: their straight ways from there
     rays: int  # of each group
+    together: bool  # whether direct rays are asked for in packets
     path_seed: np.uint64
     depth_mm: float  # of the image; echoes displayed deeper are not followed
     roulette_db: float  # two-way amplitude at the image's depth under which Russian roulette may end a reflected ray
+    followed: float  # part of the rays reflected for the first time that goes on
     gain_db_mm: float  # of the display with depth
     step_mm: float  # from a surface to the origin of the rays that leave it
 

@@ -6,9 +6,11 @@ structures are as in `line_walk`.
 
 import math
 
-from ablate.ultrasound.compiled import Vector, step
+import numpy as np
+
+from ablate.ultrasound.compiled import Vector, compiled, step
 from ablate.ultrasound.media import Media, Medium, Surface
-from ablate.ultrasound.surfaces.embree import Asked, Hit, closest_of
+from ablate.ultrasound.surfaces.embree import PACKET, Asked, Hit, Packet, ask_together, closest_of, hit_of
 from ablate.ultrasound.surfaces.line_walk import next_step
 from ablate.ultrasound.transport.bounce import strays
 from ablate.ultrasound.transport.rays import Ray
@@ -32,6 +34,26 @@ def look_ahead(embree: tuple[int, Asked], ray: Ray) -> Hit:
     """The next surface of a ray, within its reach, by the geometry's address and room to ask for it."""
     address, asked = embree
     return closest_of(address, asked, origin_of(ray), direction_of(ray), ray.reach_mm)
+
+
+@compiled
+def direct_rays(rays: np.ndarray, n: int) -> int:
+    """How many of the rays are direct: they come first."""
+    for i in range(n):
+        if rays[i].reflections > 0:
+            return i
+    return n
+
+
+@step
+def next_hit(embree: tuple[int, Asked, Packet], rays: np.ndarray, i: int, together: int) -> Hit:
+    """The next surface of a ray; the first rays, so many of them, are asked for together, a packet at its first one."""
+    address, asked, packet = embree
+    if i >= together:
+        return look_ahead((address, asked), rays[i])
+    if i % PACKET == 0:
+        ask_together(address, packet, rays, i, min(PACKET, together - i))
+    return hit_of(packet, i % PACKET)
 
 
 @step
