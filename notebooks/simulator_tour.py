@@ -37,7 +37,7 @@ from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
 from ablate.ultrasound.probe import fan_of, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
 from ablate.ultrasound.stages import Stage, observe_stages
-from ablate.ultrasound.surfaces.embree import asked_ray
+from ablate.ultrasound.surfaces.embree import asked_packet, asked_ray
 from ablate.ultrasound.surfaces.geometry import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
@@ -226,7 +226,7 @@ def note_paths(stage, function, arguments):
             ends = origins + np.minimum(hits.distance_mm, 200)[:, None] * directions
             segments.append((origins, ends, hits.structure >= 0))
             rays, inside, echoes = grown(rays, 2 * n), grown(inside, 2 * n), grown(echoes, received + n)
-            embree = address, asked_ray()
+            embree = address, asked_ray(), asked_packet()
             n, count = advance(embree, rays, inside, echoes[received:], n, view, table, nodes)
             received += count
         return (rays, inside, echoes), n, received

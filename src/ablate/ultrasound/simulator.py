@@ -183,10 +183,7 @@ class Simulator:
             return echoes_of(self._chain, self._of(pose, Simulator._prepare), pose, seed)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
-
-        Raises ValueError when the pose is not rigid.
-        """
+        """Segmentation (H, W) uint8 and attenuation (H, W) float32; a ValueError when the pose is not rigid."""
         pose = check_pose(pose)
         with without_teams():
             makes = Simulator._tissue_maps, Simulator._pixel_labels
@@ -220,10 +217,7 @@ class Simulator:
         return Beam(**{name: values.copy() for name, values in zip(names, made, strict=True)})
 
     def grain(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
-        """The lattice of scatterers as a pose sees it, (rows, scanlines, 2) complex64; see `lattice.grain`.
-
-        Raises ValueError when the pose is not rigid or the seed negative.
-        """
+        """The lattice of scatterers at a pose, (rows, scanlines, 2) complex64; ValueErrors are those of `render`."""
         with without_teams():
             return grain(pose, self.probe, self.settings, seed, self.scene.body)
 
