@@ -34,7 +34,7 @@ from ablate.ultrasound import ConvexProbe, Frame, Probe, Simulator, SimulatorSet
 from ablate.ultrasound.probe import fan_of
 
 DOCS = Path(__file__).parents[1] / "docs"
-GALLERY_MHZ = 5.0  # usual for a second-trimester examination
+GALLERY_MHZ = 3.5  # usual at this depth
 COLUMNS = 3
 SCOUT_SHAPE = (100, 139)  # of the label maps from which the poses are chosen
 FRAME_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the attenuation map is left to see
