@@ -19,11 +19,12 @@ from scipy.spatial.transform import Rotation
 import ablate
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes
 from ablate.metrics import metric_of
+from ablate.networks.spec import Noise
 from ablate.pretrained import Renderer
+from ablate.study.network import renderer_of
 from ablate.study.training import trainings_in
 from ablate.ultrasound import Frame, Simulator
 from numerics import markdown
-from ship import renderer_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 SHOWN = ("psnr", "mae", "mae_smooth", "pchi2_tissue", "thin_contrast", "octave_sd", "fd_speckle")
@@ -74,11 +75,11 @@ def panels(frame: Frame, scene: Scene, renderers: Sequence[tuple[str, Renderer]]
 
 def cine(studies: Sequence[Path]) -> None:
     """Write the cine of all networks, and its first frame with the first network as a picture of their pair."""
-    named = {training.label: training for study in studies for training in trainings_in(study) if training.seed == 0}
-    by_pixel = next(training for label, training in named.items() if "noise-inject" in label)
+    trained = (training for study in studies for training in trainings_in(study) if training.seed == 0)
+    by_pixel = next(training for training in trained if training.settings.model.noise is Noise.inject)
     renderers = [
         ("generated, grain of the body", ablate.load("sa2h")),
-        ("generated, noise by pixel", renderer_of(by_pixel.folder)),
+        ("generated, noise by pixel", renderer_of(by_pixel)),
     ]
     scene = fetal_abdomen(TRIANGLES)
     probe, settings = renderers[0][1].probe, renderers[0][1].simulator
