@@ -1,5 +1,6 @@
 """Work against precision: how much worse than re-simulation renderers are, against the time of a frame."""
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ SIMULATOR_COLOUR = "#888888"
 #: Columns that points may have: the ends of an interval over frames of how much worse than re-simulation one is.
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
 _FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
+_TITLE_LETTERS = 60  # of a line above a panel
 
 
 def error_vs_runtime(
@@ -95,7 +97,8 @@ def _draw_panel(
         axes.axhline(0.0 if relative else floor, lw=0.9, **baseline_line(metric))
     if len(beyond):
         told = [f"{point['name']}: {point['y']:+.{judge.decimals}f}" for point in beyond.to_dict("records")]
-        axes.set_title("beyond the axis: " + "; ".join(told), fontsize=6, color="#555555")
+        lines = textwrap.fill("beyond the axis: " + "; ".join(told), _TITLE_LETTERS)
+        axes.set_title(lines, fontsize=6, color="#555555")
     side = "below" if judge.better is Direction.higher else "above"
     unit = f" ({judge.unit})" if judge.unit else ""
     axes.set(
