@@ -73,6 +73,22 @@ def scored(metrics):
     return pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
 
 
+def test_a_function_that_a_user_names_is_a_column_of_the_screen_before_all_that_do_not_fit(monkeypatch):
+    monkeypatch.setattr(registry, "_OWN", {})
+    module = ModuleType("of_a_user")
+    module.bias = brightness
+    monkeypatch.setitem(sys.modules, "of_a_user", module)
+    monkeypatch.setattr(registry, "code_digest", lambda _: "")
+    chosen = choose_metrics(["all", "of_a_user.bias"])
+    assert "bias" in shown_in(Shown.screen)
+    assert "bias" in shown_in(Shown.report)
+    shown = [name for name in shown_in(Shown.screen) if name in chosen]
+    rows = [("sa2h", 0, frame, frame, name, 1.0 + frame) for name in shown for frame in range(4)]
+    per_image = pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
+    columns, *_ = analysis.to_text(analysis.comparison_table(per_image), 60).split("-----")
+    assert "bias" in columns
+
+
 def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypatch):
     name = "ablate.analysis.figures.boxplot_figure.save_figure"
     monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])  # it is laid out, not written

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ablate.analysis.scored import BASELINE_NAMES, judged_metrics
 from ablate.analysis.tables import ARROWS, Cell, cell_texts, head, resimulation_note
-from ablate.metrics import Direction, metric_of
+from ablate.metrics import Direction, is_own, metric_of
 
 #: The metric that networks are ordered by: no network can do better than re-simulation, and blur does not help.
 RANKED_BY = "pchi2"
@@ -57,7 +57,8 @@ def best_in_words(table: pd.DataFrame, claims: pd.DataFrame, reference: str) -> 
     found = f"{best} by {head(metric)}: {cells[best, metric].mean}"
     parts = [f"{name} {cells[name, metric].mean}" for name in order if name in BASELINE_NAMES]
     if not others:
-        return f"{found}, the only network" + (f" ({', '.join(parts)})" if parts else "")
+        alone = "the only network" if set(rows.index) >= set(table["variant"]) else "the only network with this score"
+        return f"{found}, {alone}" + (f" ({', '.join(parts)})" if parts else "")
     other = reference if reference in others else others[0]
     parts.insert(0, f"{other} {cells[other, metric].mean}")
     return f"{found} ({', '.join(parts)}); {_difference(claims, metric, best, other, reference)}"
@@ -81,12 +82,12 @@ def _difference(claims: pd.DataFrame, metric: str, best: str, other: str, refere
 def to_text(table: pd.DataFrame, columns: int = SCREEN_COLUMNS) -> str:
     """A `comparison_table` for a terminal of so many columns: best first, baselines below a rule, and a note on them.
 
-    A star is on the best network of a column. The metric that orders the networks is the first column, and others are
-    left out, from the end, where they do not fit; the last line names them.
+    A star is on the best network of a column. The metric that orders the networks is the first column, those of the
+    user follow, and others are left out, from the end, where they do not fit; the last line names them.
     """
     cells = cell_texts(table)[2]
     order, by = best_first(table), ranked_by(table)
-    metrics = sorted(dict.fromkeys(table["metric"]), key=lambda name: name != by)
+    metrics = sorted(dict.fromkeys(table["metric"]), key=lambda name: (name != by, not is_own(metric_of(name))))
     titles = {metric: _title(metric, [cells[variant, metric] for variant in order]) for metric in metrics}
     printed = {metric: [_value(cells[variant, metric]) for variant in order] for metric in metrics}
     widths = {metric: max(map(len, [*titles[metric], *printed[metric]])) for metric in metrics}

@@ -48,8 +48,12 @@ def metric_of(name: str) -> Metric:
 
 
 def shown_in(place: Shown) -> list[str]:
-    """Names of the metrics that are shown in a place, those of the package first."""
-    return [metric.name for metric in (*METRICS.values(), *_OWN.values()) if metric.shown & place]
+    """Names of the metrics that are shown in a place, those of the package first.
+
+    A metric of the user, who named it, is always on the screen and in the report.
+    """
+    own = [metric.name for metric in _OWN.values() if (metric.shown | Shown.screen | Shown.report) & place]
+    return [*(metric.name for metric in METRICS.values() if metric.shown & place), *own]
 
 
 def is_own(metric: Metric) -> bool:
