@@ -159,7 +159,8 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
     """
     path = _FOLDER / f"{name}.pt" if name in NAMES else Path(name)
     if not path.is_file():
-        raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and files that `save` wrote")
+        files = "files such as network.pt among the artifacts of a run in MLflow"
+        raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and {files}")
     try:
         content: dict[str, Any] = read_stored(path)
         target = dict(content["spec"]).get("target")
