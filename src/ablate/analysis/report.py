@@ -8,6 +8,7 @@ import pandas as pd
 
 from ablate.analysis.caution_texts import cautions
 from ablate.analysis.figures.study_figure import DrawnFigure, Section
+from ablate.analysis.leaderboard import best_in_words
 from ablate.analysis.results import StudyResults
 from ablate.analysis.scale import scale_table
 from ablate.analysis.scored import RESIMULATION, is_network
@@ -53,6 +54,7 @@ def write_report(
     text = filled(
         "report.html.jinja",
         title=title,
+        best=best_in_words(results.table, claims, results.reference),
         compared=_compared(results.per_image),
         warnings=[*notes, *cautions(results.per_image, results.reference, results.blocks)],
         variants=[{"variant": variant} for variant in variants],

@@ -129,7 +129,7 @@ MAE_SMOOTH = Metric(
     resimulation=Resimulation.level,
     group=Group.mechanism,
     decimals=2,
-    shown=Shown.screen,
+    shown=Shown.screen | Shown.report,
     of_image=mae_smooth,
     place=60,
 )
