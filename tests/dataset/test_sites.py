@@ -182,7 +182,7 @@ def test_every_used_pose_of_a_scene_is_on_its_skin(where: str, request: pytest.F
     placed = place_probe(body, grid, press_mm=8)
     asked = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
     assert len(placed.poses) + sum(placed.dropped.values()) == asked
-    assert len(placed.poses) > 0.9 * asked
+    assert len(placed.poses) > 0.85 * asked
     skin = body.structures[0].mesh
     on_skin = cKDTree(trimesh.sample.sample_surface(skin, 300_000, seed=0)[0])
     face = face_points(PROBE)

@@ -214,7 +214,7 @@ def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
 
 UNREPEATED = """
 import numpy as np
-calls, largest = [], [0.0]
+calls, seen = [], []
 
 def draws_numbers(pair):
     return pair.prediction[np.random.randint(0, 500, 40), 300].mean()
@@ -224,8 +224,8 @@ def counts_calls(pair):
     return len(calls) / 100
 
 def compares_with_the_largest(pair):
-    largest[0] = max(largest[0], pair.prediction.mean(dtype=float) * (1 + (pair.prediction.sum() % 7)))
-    return pair.prediction.mean() / largest[0]
+    seen.append(pair.prediction.mean(dtype=float) * (1 + len(seen)))
+    return pair.prediction.mean() / max(seen)
 
 def rounds_otherwise(pair):
     calls.append(1)

@@ -29,5 +29,6 @@ def test_it_reads_what_the_frames_were_simulated_with_and_is_scored(tiny_study: 
     assert settings.simulator.tgc is TimeGain.patient
     assert gain == pairs.simulator.time_gain_db == job.data.time_gain_db
     frames = pairs.frames(Part.test)
-    expected = compensated_attenuation(pairs.read("attenuation", frames), settings.probe, gain)
+    limited = pairs.simulator.time_gain
+    expected = compensated_attenuation(pairs.read("attenuation", frames), settings.probe, limited)
     np.testing.assert_allclose(pairs.read("compensated", frames), expected, atol=0.6 / 65535)

@@ -155,7 +155,7 @@ def test_a_frame_is_shown_before_and_after_it_is_simulated(
     run("task=preview", *arguments)
     run("task=simulate", *arguments)
     pairs = open_pairs(path.parent)
-    monkeypatch.setattr(tasks_render, "Simulator", lambda *_, **__: pytest.fail("the frame is on disk"))
+    monkeypatch.setattr(tasks_render, "simulators_of", lambda *_, **__: pytest.fail("the frame is on disk"))
     run("task=preview", *arguments)
     for _, (pose, image, segmentation) in shown:
         np.testing.assert_array_equal(image, pairs.read("target", [7])[0])
