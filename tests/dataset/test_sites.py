@@ -175,14 +175,14 @@ def test_directions_that_miss_are_dropped_and_nothing_left_is_an_error() -> None
 def test_every_used_pose_of_a_scene_is_on_its_skin(where: str, request: pytest.FixtureRequest) -> None:
     """Seen by the simulator: gel above the middle of the face, body below the press, and no bone at the face."""
     if where == "fetal":
-        body, grid = fetal_abdomen(triangles=6000), fetal_sites()
+        body, grid = fetal_abdomen(triangles=20_000), fetal_sites()
     else:
         folder: Path = request.getfixturevalue("cases") / where
         body, grid = load_scene(folder), load_sites(folder)
     placed = place_probe(body, grid, press_mm=8)
     asked = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
     assert len(placed.poses) + sum(placed.dropped.values()) == asked
-    assert len(placed.poses) > 0.85 * asked
+    assert len(placed.poses) > 0.9 * asked
     skin = body.structures[0].mesh
     on_skin = cKDTree(trimesh.sample.sample_surface(skin, 300_000, seed=0)[0])
     face = face_points(PROBE)

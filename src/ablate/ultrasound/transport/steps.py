@@ -47,7 +47,19 @@ def direct_rays(rays: np.ndarray, n: int) -> int:
 
 @step
 def next_hit(embree: tuple[int, Asked, Packet], rays: np.ndarray, i: int, together: int) -> Hit:
-    """The next surface of a ray; the first rays, so many of them, are asked for together, a packet at its first one."""
+    """The next surface of a ray; one of the first rays is asked for with its neighbours, at the first of their packet.
+
+    Parameters
+    ----------
+    embree : tuple of int, Asked and Packet
+        As in `advance.advance`.
+    rays : (n,) RAY
+        All that advance.
+    i : int
+        The ray's number.
+    together : int
+        How many of the first rays are asked for in packets; 0 where a processor has none.
+    """
     address, asked, packet = embree
     if i >= together:
         return look_ahead((address, asked), rays[i])
