@@ -75,6 +75,7 @@ def scene_folder(folder: Path, **changes: object) -> None:
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, full, lsa2h, nsa2h, sa2h, "),
+    (["variant=sa2hh"], r"allowed are custom, .*; did you mean sa2h\?"),
     (["+study=everything"], r"study=everything: allowed are add_one_in, components, compounded, encoding"),
     (["-m", "+study=leave_one_out,table2"], r"\+study=leave_one_out,table2: allowed is one study a command"),
     (["study_name="], r"study_name=''?: allowed are "),  # a shell variable that is not set

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException, ValidationError
@@ -90,7 +91,8 @@ def _explained(error: Exception) -> str:
         return f"{group[1]}: nothing is chosen of this group yet; type +{group[1]}"
     unknown_choice = r"Could not find '(.+)/([^/]+)'\s+Available options in '.+?':(.*?)\n\s*Config search"
     if choice := re.search(unknown_choice, str(error), re.S):
-        return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"
+        names = choice[3].split()
+        return f"{choice[1]}={choice[2]}: allowed are {', '.join(names)}{_meant(choice[2], names)}"
     if several := re.search(r"Ambiguous value for argument '(.*)'", str(error)):
         return f"'{several[1]}' asks for several jobs: add -m"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
@@ -103,6 +105,12 @@ def _explained(error: Exception) -> str:
     else:
         text = f"{text}: {_one_line(cause)}"
     return _unknown_key(cause, text) or text.removeprefix("Error merging override ")
+
+
+def _meant(word: str, names: Sequence[str]) -> str:
+    """The name that a wrong one may stand for, as a question; empty where none is like it."""
+    near = get_close_matches(word, names, 1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _of_another_type(cause: ValidationError, text: str) -> str:
