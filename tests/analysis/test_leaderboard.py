@@ -84,6 +84,12 @@ WORDS = {
 }
 
 
+def test_one_network_of_several_with_a_score_is_not_called_the_only_one() -> None:
+    table = table_of(comparison({"sa2h": {"pchi2": 0.1, "psnr": 20.0}, "b": {"psnr": 21.0}}))
+    claims = analysis.seed_claims(NOTHING, comparison({"sa2h": {"pchi2": 0.1}}))
+    assert "the only network with this score" in analysis.best_in_words(table, claims, "sa2h")
+
+
 @pytest.mark.parametrize("case", WORDS)
 def test_who_is_best_is_said_with_by_how_much(case: str) -> None:
     means, seeds, words = WORDS[case]

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pandas as pd
 
-from ablate.analysis import DrawnFigure, Section, StudyResults, write_report
+from ablate.analysis import DrawnFigure, Section, StudyResults, best_in_words, write_report
 
 
 class Resources(HTMLParser):
@@ -47,6 +47,9 @@ def test_report_is_self_contained(study, tmp_path):
     assert len(parser.sources) == 1
     assert parser.sources[0].startswith("data:image/png;base64,")
     assert not re.search(r"https?://", page)
+    results = StudyResults(per_image=study)
+    best = best_in_words(results.table, results.claims, results.reference)
+    assert page.index(f"<strong>Best</strong>: {best}.") < page.index("<h2>"), "it is what a reader asks first"
     for text in ("quick &lt;study&gt;", "refraction: speeds agree", "abc123", "floor for", "level of", "differs"):
         assert text in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page).lower())
