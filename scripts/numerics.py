@@ -1,12 +1,12 @@
-"""Measure again what docs/numerics.md shows: its figures, its CSV files and its tables. Give it the machine alone.
+"""Measure again what docs/numerics.md and docs/teachers.md show: figures, CSV files, tables. Give it the machine alone.
 
 make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour and a half at most on two cores
 python scripts/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 python scripts/numerics.py --draw                                   # the figures again, from the CSV files
 
 The part of the paper's size trains SA2H there first and shows its frames and scores. Of a patient, figures of errors
-and times are shown and no image. Tables stand between `<!-- table: name -->` and
-`<!-- end -->`; all other text is left as it is.
+and times are shown and no image. The teacher is that of `+study=compounded`, which is trained before. Tables stand
+between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is.
 """
 
 import argparse
@@ -22,12 +22,14 @@ import pandas as pd
 from ablate.metrics import METRICS
 from ablate.numerics.precision.figures import draw
 from ablate.numerics.precision.task import tables, verdict
+from ablate.numerics.precision.worth import worth
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "numerics.md"
-PARTS = ("fetal", "paper", "patient", "scaling")
+TEACHER = DOCS / "teachers.md"
+PARTS = ("fetal", "paper", "patient", "teacher", "scaling")
 #: Rays of the data sets, by what the names of figures end with.
-RAYS = {"": 16, "_paper": 32, "_patient": 16}
+RAYS = {"": 16, "_paper": 32, "_patient": 16, "_teacher": 16}
 #: The paper's sizes, and three times the steps of `quick`; all else is the preset's.
 PAPERS_SIZE = (
     "scene.triangles=675000",
@@ -68,9 +70,9 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
         shutil.copy(made / name, DOCS / f"{stem}{suffix}.{kind}")
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
-    shown = tables(points)
-    order = next((table for heading, table in shown.items() if heading.startswith(ORDER)), pd.DataFrame())
-    return {"order": markdown(order), "verdict": verdict(details)}
+    usual = f"rays {RAYS[suffix]}"
+    order = next((table for name, table in tables(points, usual).items() if name.startswith(ORDER)), pd.DataFrame())
+    return {"order": markdown(order), "verdict": verdict(details), "worth": markdown(worth(points, usual))}
 
 
 def draw_kept() -> None:
@@ -120,6 +122,7 @@ def main() -> None:
             args.runs / "patient",
             "_patient",
         ),
+        "teacher": (["+study=compounded"], args.runs, "_teacher"),
     }
     for part in args.parts:
         if part == "paper":
@@ -133,7 +136,8 @@ def main() -> None:
             PAGE.write_text(fill(PAGE.read_text(), {"paper scores": markdown(scores)}))
         if part in jobs and not (part == "patient" and args.patient is None):
             found = {f"{part} {name}": text for name, text in measure(*jobs[part]).items()}
-            PAGE.write_text(fill(PAGE.read_text(), found))
+            page = TEACHER if part == "teacher" else PAGE
+            page.write_text(fill(page.read_text(), found))
         if part == "scaling":
             script = DOCS.parent / "benchmarks" / "scaling.py"
             shown = []

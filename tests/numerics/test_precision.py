@@ -25,6 +25,7 @@ from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import bench_of
 from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change, worse_than
 from ablate.numerics.precision.figures import renderers
+from ablate.numerics.precision.worth import worth
 from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError
 from ablate.sources.prepare import prepare_data
@@ -326,6 +327,28 @@ def test_each_row_of_a_table_has_its_own_time() -> None:
     """Rows are sorted as text, and times were once in the order in which they were measured."""
     timed = {("second: sa2h", "exported"): 30.0, ("first: sa2h", "exported"): 23.0, ("first: sa2h", "eager"): 20.0}
     rows = [(*where, ms, "mae", 5.0) for where, ms in timed.items()]
-    errors = module.tables(pd.DataFrame(rows, columns=module.POINTS))
+    errors = module.tables(pd.DataFrame(rows, columns=module.POINTS), "rays 16")
     shown = errors["Error to the reference"]["ms"]
     assert {where: float(shown.loc[where]) for where in timed} == timed
+
+
+def test_what_a_network_is_worth_is_told_by_its_trainings_and_its_fastest_engine() -> None:
+    points = [
+        ("simulator, rays", "16", 26.0, 0.1),  # knows the scatterers
+        ("simulator, other scatterers", "rays 16", 26.0, 8.0),
+        ("simulator, other scatterers", "rays 2", 12.0, 9.0),
+        ("simulator, other scatterers", "layers 1", 9.0, 11.0),
+        ("simulator, other scatterers", "rays 2, layers 1", 6.0, 13.0),
+        ("formula", "segmentation, attenuation", 7.0, 14.0),
+        ("sa2h", "width 0.25, fp32, eager, seed 0", 30.0, 9.9),
+        ("sa2h", "width 0.25, bf16, eager, seed 0", 20.0, 10.0),
+        ("sa2h", "width 0.25, bf16, exported, seed 0", 10.0, 10.1),
+        ("sa2h", "width 0.25, bf16, eager, seed 1", 21.0, 10.4),
+        ("nsa2h", "width 0.25, bf16, eager, seed 0", 5.0, 7.5),
+    ]
+    errors = pd.DataFrame([(s, t, ms, "mae_smooth", e) for s, t, ms, e in points], columns=module.POINTS)
+    told = worth(errors, "rays 16").droplevel("metric")
+    assert told.loc["sa2h"].tolist() == ["10.0", "2.20", "1 layer, 9.0 ms", "3.00", "2 rays, 12.0 ms", "1.2"]
+    cheapest = "2 rays, 1 layer, 6.0 ms"
+    assert told.loc["formula"].tolist() == ["7.0", "6.00", cheapest, "5.00", cheapest, "0.9"]
+    assert told.loc["nsa2h"].tolist() == ["5.0", "-0.50", "none", "none", "none", "none"]

@@ -11,7 +11,7 @@ from ablate.numerics.precision.bench import OTHER_SERIES
 from ablate.numerics.precision.errors import ENVELOPE
 
 #: A network's setting: width, precision, engine, seed, and another study than the one that asked.
-_WAY = r", (?P<precision>\w+), (?P<engine>\w+)(?:, seed (?P<seed>\d+))?(?:, (?P<study>.+))?$"
+WAY = r", (?P<precision>\w+), (?P<engine>\w+)(?:, seed (?P<seed>\d+))?(?:, (?P<study>.+))?$"
 
 
 def draw(errors: pd.DataFrame, rays: int, folder: Path, machine: str) -> tuple[list[Path], dict[str, float]]:
@@ -59,7 +59,7 @@ def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
     of_simulator = pd.concat([own, faster]).assign(setting=lambda table: table["setting"].map(names))
     formula = told[told["series"] == FORMULA].assign(setting="")
     networks = told[~told["series"].isin([OTHER_SERIES, FORMULA])]
-    ways = networks["setting"].str.extract(_WAY)
+    ways = networks["setting"].str.extract(WAY)
     ranked = networks.assign(**ways, number=ways["seed"].astype(float).fillna(0.0)).sort_values(["number", "ms"])
     first = ranked.drop_duplicates(["series", "study", "precision", "metric"]).sort_index()
     twice = first.duplicated(["series", "precision", "metric"], keep=False)  # from several studies

@@ -27,6 +27,7 @@ from ablate.numerics.precision.generated import (
     schedule_of,
     shipped_candidates,
 )
+from ablate.numerics.precision.worth import worth
 from ablate.publish import TaskView, published_task
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
@@ -99,7 +100,7 @@ def _report(
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     errors = measured["precision"]
     figures, level = draw(errors, bench.simulator.rays, folder, hardware())
-    shown = tables(errors)
+    shown = tables(errors, f"rays {bench.simulator.rays}")
     head = [
         verdict(measured["details"]),
         f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items()),
@@ -139,10 +140,11 @@ def verdict(details: pd.DataFrame) -> str:
     )
 
 
-def tables(points: pd.DataFrame) -> dict[str, pd.DataFrame]:
+def tables(points: pd.DataFrame, usual: str) -> dict[str, pd.DataFrame]:
     """Make the tables of the summary by their headings, with cells as text; one without rows is left out.
 
-    `points` has the columns series, setting, ms, metric, error. The rest is in `details.csv`.
+    `points` has the columns series, setting, ms, metric, error; `usual` is the setting of the re-simulation. The rest
+    is in `details.csv`.
     """
     shown = points[points["series"] != OTHER_SERIES]
     named = shown.assign(
@@ -158,7 +160,11 @@ def tables(points: pd.DataFrame) -> dict[str, pd.DataFrame]:
         for metric, (p, error) in _orders(points).items()
     }
     orders = pd.DataFrame(fits, ["p", "standard error"]).T.rename_axis("error")
-    by_heading = {"Error to the reference": errors, "Observed order p, error ~ rays^-p": orders}
+    by_heading = {
+        "Error to the reference": errors,
+        "Observed order p, error ~ rays^-p": orders,
+        "What the simulator reaches in the time of a renderer, and when it is as near": worth(points, usual),
+    }
     return {heading: table for heading, table in by_heading.items() if len(table)}
 
 
