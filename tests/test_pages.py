@@ -16,11 +16,12 @@ def test_the_page_is_what_the_script_prints() -> None:
     assert (ROOT / "docs" / "settings.md").read_text("utf-8") == settings_page.page()
 
 
-def test_every_mark_of_the_page_is_filled() -> None:
-    text = (ROOT / "docs" / "numerics.md").read_text()
+@pytest.mark.parametrize("name", ["numerics.md", "teachers.md"])
+def test_every_mark_of_the_pages_is_filled(name: str) -> None:
+    text = (ROOT / "docs" / name).read_text()
     marks = re.findall(r"<!-- table: (.+?) -->", text)
     assert len(marks) == text.count("<!-- end -->") == len(set(marks))
-    known = {f"{part} {name}" for part in ("fetal", "paper", "patient") for name in ("order", "verdict")}
+    known = {f"{part} {table}" for part in page.PARTS for table in ("order", "verdict", "worth")}
     assert set(marks) <= known | {"scaling", "paper scores"}
     filled = page.fill(text, {name: f"| {name} |" for name in marks})
     assert all(f"<!-- table: {name} -->\n| {name} |\n<!-- end -->" in filled for name in marks)
