@@ -6,7 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+from numba import jit
+
 from ablate.ultrasound import compiled
+from ablate.ultrasound.surfaces.embree import closest_of
+from ablate.ultrasound.transport.advance import advance
 
 SOURCES = {
     "__init__.py": "",
@@ -53,3 +58,19 @@ def test_without_a_place_of_its_own_or_a_home_it_works_and_leaves_nothing(tmp_pa
     assert done.stdout == "2\n"
     assert done.stderr.count("NUMBA_CACHE_DIR=<folder>") == 1
     assert not list(temporary.iterdir())
+
+
+def test_a_step_counts_no_references_to_arrays() -> None:
+    """They are counted with locks: of every array, at every ray, by all threads."""
+
+    def first_or_second(arrays: tuple[np.ndarray, np.ndarray], number: int) -> float:
+        chosen = arrays[0] if number > 0 else arrays[1]
+        return chosen[number]
+
+    counted = {}
+    for name, options in {"compiled": closest_of.targetoptions, "step": advance.targetoptions}.items():
+        function = jit(**{**options, "cache": False})(first_or_second)
+        assert function((np.arange(3.0), np.arange(3.0) + 9), 2) == 2
+        (llvm,) = function.inspect_llvm().values()
+        counted[name] = "@NRT_" in llvm
+    assert counted == {"compiled": True, "step": False}

@@ -54,8 +54,9 @@ def compiled(function: Function) -> Function:
 def step(function: Function) -> Function:
     """Compile a function that is a part of the loop that calls it: `compiled`, and LLVM puts it in there.
 
-    A call would count references to each array that it hands over, with locks, and write all numbers of a View to
-    memory. For one ray this takes longer than to trace it.
+    A call would write all numbers of a View to memory. For one ray this takes longer than to trace it. No references
+    to arrays are counted in it, which would lock the counters at every ray, and threads would wait for each other: so
+    it cannot make an array.
     """
     return _kept(function, inlined=True)
 
@@ -66,7 +67,8 @@ def _kept(function: Function, inlined: bool) -> Function:
     try:
         if base is not None:
             setattr(config, _KEPT_IN, str(base / f"compiled-{_DIGEST}"))
-        return cast(Function, njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)(function))
+        made = njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined, _nrt=not inlined)
+        return cast(Function, made(function))
     finally:
         setattr(config, _KEPT_IN, chosen)
 

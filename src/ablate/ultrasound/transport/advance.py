@@ -89,7 +89,7 @@ def grown(rows: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate((rows, np.empty((2 * count - len(rows), *rows.shape[1:]), rows.dtype)))
 
 
-@compiled
+@step
 def advance(
     embree: tuple[int, Asked, Packet],
     rays: np.ndarray,
