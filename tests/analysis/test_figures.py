@@ -132,6 +132,20 @@ def test_a_page_holds_fewer_frames_of_more_variants(predictions, frames, picture
         assert min(axes.get_position().width * width for axes in shown) > 1.5, "inches: narrower, speckle is lost"
 
 
+def test_long_names_of_rows_stay_beside_their_pictures(pictures, figures, tmp_path):
+    names = [RESIMULATION, "sa2h", "sa2h.attenuation-compound", "sa2h.concat-input.upsampling-transposed.depth-6"]
+    frame = replace(pictures, predictions=dict.fromkeys(names, pictures.target))
+    analysis.qualitative_figure([frame] * 4, tmp_path / "grid")
+    figure = figures["grid"]
+    figure.draw_without_rendering()
+    told = [axes for axes in figure.axes if axes.get_ylabel()]
+    assert len(told) == len(names) + 1
+    for axes in told:
+        name, picture = axes.yaxis.label.get_window_extent(), axes.get_window_extent()
+        assert name.height <= picture.height * 1.02, axes.get_ylabel()
+        assert name.y0 >= 0
+
+
 def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
     names = [RESIMULATION, "sa2h", "sa2h.encoding-arbitrary", *(f"v{k}" for k in range(9))]
     many = replace(pictures, predictions=dict.fromkeys(names, pictures.predictions["sa2h"]))

@@ -1,8 +1,10 @@
 """Test frames beside what every variant rendered of them, as the paper's Fig. 2."""
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -15,6 +17,7 @@ from ablate.analysis.results import StudyResults
 
 MOST_DOWN = 7  # rows of pictures that a page holds
 NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
+EM = 0.6  # width of a letter, in sizes of the type
 INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
 
 
@@ -44,15 +47,16 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
     heads_in = HEAD_IN * down if single else HEAD_IN
     height, width = frames[0].target.shape
     picture_in = (page_in - names_in) / max(across, 2)
+    tall_in = picture_in * min(height / width, MOST_TALL)
     with house_style(page_in):
-        figure = new_figure(page_in, heads_in + down * picture_in * min(height / width, MOST_TALL), pad_in=0.01)
+        figure = new_figure(page_in, heads_in + down * tall_in, pad_in=0.01)
         grid = figure.subplots(down, across, squeeze=False)
         for axes in grid.ravel():
             axes.set_axis_off()
         if single:
             _fill_lines(list(grid.ravel()), frames[0], names, components)
         else:
-            _fill_columns(grid, frames, names, components)
+            _fill_columns(grid, frames, names, components, tall_in)
         return save_figure(figure, stem)
 
 
@@ -66,10 +70,15 @@ def _fill_lines(
 
 
 def _fill_columns(
-    grid: np.ndarray, frames: Sequence[FramePictures], names: Sequence[str], components: Sequence[Component]
+    grid: np.ndarray,
+    frames: Sequence[FramePictures],
+    names: Sequence[str],
+    components: Sequence[Component],
+    tall_in: float,
 ) -> None:
-    """A column a frame, its name above; the names of variants stand at the left."""
+    """A column a frame, its name above; the names of variants stand at the left, in lines of a picture's height."""
     down = len(grid)
+    of_line = max(int(tall_in / (EM * mpl.rcParams["font.size"] / 72)), 1)
     for k, name in enumerate(names):
         block, row = divmod(k, down)
         panels = grid[row, block * len(frames) :]
@@ -77,7 +86,7 @@ def _fill_columns(
             if not _draw_of(panels[j], frame, name):
                 continue
             if j == 0:
-                panels[j].set_ylabel(shown_name(name, components).replace(" ", "\n", 1))
+                panels[j].set_ylabel(textwrap.fill(shown_name(name, components), of_line))
             if row == 0:
                 panels[j].set_title(frame.name)
 
