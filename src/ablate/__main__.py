@@ -80,8 +80,8 @@ def _stopping_at_signals() -> Iterator[None]:
         number = getattr(what.exc_value, "number", signal.SIGINT)
         return threading.Timer(0.05, _thread.interrupt_main, [number]).start()
 
-    there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
-    watched = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]
+    known = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
+    watched = [number for number in known if signal.getsignal(number) is signal.SIG_DFL]
     before, sys.unraisablehook = sys.unraisablehook, dropped
     for number in watched:
         signal.signal(number, stop)

@@ -113,8 +113,8 @@ def to_text(table: pd.DataFrame, columns: int = SCREEN_COLUMNS) -> str:
     notes = [resimulation_note(shown)] if set(order) & set(BASELINE_NAMES) else []
     if len(shown) < len(metrics):
         notes.append(f"Not shown: {', '.join(metric_of(name).label for name in metrics[len(shown) :])}.")
-    told = [text for note in notes for text in ("", *wrap(note, columns))]
-    return "\n".join(text.rstrip() for text in [*lines, *told]) + "\n"
+    words = [text for note in notes for text in ("", *wrap(note, columns))]
+    return "\n".join(text.rstrip() for text in [*lines, *words]) + "\n"
 
 
 def _title(metric: str, column: list[Cell]) -> list[str]:

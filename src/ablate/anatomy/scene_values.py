@@ -48,9 +48,9 @@ class _Loader(yaml.SafeLoader):
     """YAML that refuses a key given twice, which would drop the first one without a word, and merges that grow."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        own = len(node.value)
+        given = len(node.value)
         super().flatten_mapping(node)  # of what is merged first, so that each level is bounded before the next
-        if len(node.value) > own + _MOST_MERGED:
+        if len(node.value) > given + _MOST_MERGED:
             raise yaml.constructor.ConstructorError(
                 None, None, f"more than {_MOST_MERGED} keys are merged by <<", node.start_mark
             )

@@ -38,11 +38,11 @@ def job_of(
         What Hydra has composed of all of them, where it has.
     """
     config = composed([*fixed, *words]) if config is None else config
-    own = config.hydra if "hydra" in config else HydraConfig.get()
-    if own.job.chdir:
+    hydra = config.hydra if "hydra" in config else HydraConfig.get()
+    if hydra.job.chdir:
         allowed = "allowed is false, as paths begin where the command is typed and results lie in runs_dir"
         raise ConfigurationError(f"hydra.job.chdir=true: {allowed}")
-    read_own_components(own)
+    read_own_components(hydra)
     with in_one_line():
         chosen = settings(config)
         named = {*swept, *(component.key for component in components())}

@@ -133,8 +133,8 @@ def _values(words: tuple[str, ...], primary: str) -> dict[str, Any]:
 
 def _plain(config: DictConfig) -> dict[str, Any]:
     """The values of a configuration by dotted key, as JSON has them; what cannot be resolved is left out."""
-    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    return {key: plain(value) for key, value in _flat(own)}
+    without_hydra = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    return {key: plain(value) for key, value in _flat(without_hydra)}
 
 
 def _flat(node: DictConfig, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -160,5 +160,5 @@ def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
 
 def _name_of(key: str) -> str:
     """The last part of a key; of one of the user's network all that is the user's, as two groups may end alike."""
-    own = key.removeprefix(OF_OWN_NETWORK)
-    return key.rpartition(".")[2] if own == key else own.replace(".", "_")
+    of_network = key.removeprefix(OF_OWN_NETWORK)
+    return key.rpartition(".")[2] if of_network == key else of_network.replace(".", "_")

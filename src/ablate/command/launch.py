@@ -132,26 +132,26 @@ def run_in_process(
     setup_globals()
     register()
     Singleton.set_state(dict(singletons))
-    own = context.config_loader.load_sweep_config(master, list(words))
-    with open_dict(own):
-        own.hydra.job.id, own.hydra.job.num = f"{own.hydra.job.name}_{number}", number
-    HydraConfig.instance().set_config(own)
-    read_own_components(own.hydra)
-    run_job(lambda _: told(work, job), own, "hydra.sweep.dir", "hydra.sweep.subdir", context)
+    config = context.config_loader.load_sweep_config(master, list(words))
+    with open_dict(config):
+        config.hydra.job.id, config.hydra.job.num = f"{config.hydra.job.name}_{number}", number
+    HydraConfig.instance().set_config(config)
+    read_own_components(config.hydra)
+    run_job(lambda _: told(work, job), config, "hydra.sweep.dir", "hydra.sweep.subdir", context)
 
 
 def _started(content: bytes, n_jobs: int, device: str | None, line: int) -> SpawnProcess:
     """A process that runs a pickled call, with its share of the threads, its GPU, and its line of a terminal."""
     process = multiprocessing.get_context("spawn").Process(target=work_for_parent, args=(content,))
     threads = {f"{library}_NUM_THREADS": str(max(1, allotted_cores() // n_jobs)) for library in _THREADS}
-    own = {name: count for name, count in threads.items() if name not in os.environ}
-    own |= {_LINE: str(line)} | ({} if device is None else {VISIBLE: device})
+    environment = {name: count for name, count in threads.items() if name not in os.environ}
+    environment |= {_LINE: str(line)} | ({} if device is None else {VISIBLE: device})
     before = os.environ.copy()
-    os.environ.update(own)
+    os.environ.update(environment)
     try:
         process.start()
     finally:
-        for name in own.keys() - before.keys():
+        for name in environment.keys() - before.keys():
             del os.environ[name]
         os.environ.update(before)
     return process

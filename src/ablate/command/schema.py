@@ -34,8 +34,8 @@ def _schema(cls: type) -> type:
         if hint == Probe:
             values = {"kind": ProbeKind.convex, **PROBE_KEYS}
             # Null where not all kinds have it.
-            own = [(n, float | None if v is None else type(v), field(default=v)) for n, v in values.items()]
-            fields.append((one.name, probe := _made("Probe", own), field(default_factory=probe)))
+            probe_fields = [(n, float | None if v is None else type(v), field(default=v)) for n, v in values.items()]
+            fields.append((one.name, probe := _made("Probe", probe_fields), field(default_factory=probe)))
         elif is_group(hint):
             fields.append((one.name, group := _schema(hint), field(default_factory=group)))
         else:
@@ -51,10 +51,10 @@ def _made(name: str, fields: list[tuple[str, Any, Any]]) -> type:
     Launchers pickle it, and take a class that a module has by its name. Of another one cloudpickle takes the contents,
     and writes them over the class of this process when a job's configuration comes back.
     """
-    made = dataclasses.make_dataclass(f"{name}Schema", fields)
-    made.__module__ = __name__
-    globals()[made.__name__] = made
-    return made
+    schema = dataclasses.make_dataclass(f"{name}Schema", fields)
+    schema.__module__ = __name__
+    globals()[schema.__name__] = schema
+    return schema
 
 
 _STUDY = _schema(StudySettings)
@@ -65,7 +65,7 @@ def settings(config: DictConfig) -> StudySettings:
 
     A value outside its allowed range is a ValueError that names it.
     """
-    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    values = OmegaConf.to_container(own, resolve=True, throw_on_missing=True)
+    without_hydra = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    values = OmegaConf.to_container(without_hydra, resolve=True, throw_on_missing=True)
     assert isinstance(values, dict)
     return build(StudySettings, {str(k): v for k, v in values.items()})

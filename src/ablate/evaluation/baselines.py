@@ -118,11 +118,11 @@ def formula_images(
     def render(frames: np.ndarray, draw: int, given: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         seeds = noise_seeds(frames if noise_of is None else noise_of[frames], draw)
         maps = given or {name: pairs.read(name, frames, Space.beam) for name in names}
-        made = [
+        rendered = [
             formula(formula.insonified({name: values[index] for name, values in maps.items()}), int(seed))
             for index, seed in enumerate(seeds)
         ]
-        frames_in_beam = np.stack(made)
+        frames_in_beam = np.stack(rendered)
         return frames_in_beam if space is Space.beam else pairs.converter.to_image(frames_in_beam)
 
     return render
@@ -144,11 +144,11 @@ def baseline_scores(scorer: Scorer, baseline: Baseline, part: Part) -> Scores:
     """
     scorer = replace(scorer, settings=replace(scorer.settings, noise_draws=_DRAWS))
     package = {name: metric for name, metric in scorer.metrics.items() if name in METRICS}
-    own = {name: metric for name, metric in scorer.metrics.items() if name not in METRICS}
+    of_user = {name: metric for name, metric in scorer.metrics.items() if name not in METRICS}
     of_metrics = _kept_scores(replace(scorer, metrics=package), baseline, part)
-    if own:
-        scored = _score(replace(scorer, metrics=own), baseline, part)
-        of_metrics |= {name: scored.of_metric(name) for name in own}
+    if of_user:
+        scored = _score(replace(scorer, metrics=of_user), baseline, part)
+        of_metrics |= {name: scored.of_metric(name) for name in of_user}
     return joined([of_metrics[name] for name in scorer.metrics])
 
 

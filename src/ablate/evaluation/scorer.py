@@ -156,11 +156,12 @@ class Scorer:
 
     def _unrepeated(self, frames: np.ndarray, drawn: np.ndarray, values: list[dict[str, float]]) -> dict[str, str]:
         """Of each metric of the user's that gives other values of the first frames when all are scored, both values."""
-        own = replace(self, metrics={name: metric for name, metric in self.metrics.items() if _is_asked_again(metric)})
+        asked_again = {name: metric for name, metric in self.metrics.items() if _is_asked_again(metric)}
+        repeating = replace(self, metrics=asked_again)
         found: dict[str, str] = {}
-        for frame, draws, before in zip(frames if own.metrics else (), drawn, values, strict=False):
-            after, _ = own._score_frame(int(frame), draws, with_texture=False)
-            for name in own.metrics.keys() - found.keys():
+        for frame, draws, before in zip(frames if repeating.metrics else (), drawn, values, strict=False):
+            after, _ = repeating._score_frame(int(frame), draws, with_texture=False)
+            for name in repeating.metrics.keys() - found.keys():
                 once, again = before.get(name, math.nan), after.get(name, math.nan)
                 if not math.isclose(once, again, rel_tol=_REPEATED) and not math.isnan(once) & math.isnan(again):
                     found[name] = f"{once:.4g} of frame {frame}, and {again:.4g}"

@@ -111,18 +111,18 @@ def check_saved(
                 "channel (model.noise=input)"
             )
         torch.manual_seed(1)  # another than that of the training, as in any other process
-        made = CustomNetwork(spec, labels, load_anew).to(maps.device)
+        loaded = CustomNetwork(spec, labels, load_anew).to(maps.device)
         try:
-            made.load_state_dict(state)
+            loaded.load_state_dict(state)
         except (Exception, SystemExit) as error:
             raise UnsavedStateError(
                 f"{where}: what is saved of it cannot be loaded: {describe_error(error)}"
             ) from error
-        with _evaluating(made):
-            images = [made(maps[k : k + 1], [], []) for k in (1, 0)]
+        with _evaluating(loaded):
+            images = [loaded(maps[k : k + 1], [], []) for k in (1, 0)]
     apart = max(float((a - b).abs().max()) for a, b in zip((second, first), images, strict=True))
     if not apart <= _MOST_CHANGED + 2 * noise:
-        unsaved = _unsaved(network.inner, made.inner)
+        unsaved = _unsaved(network.inner, loaded.inner)
         names = ", ".join(unsaved[:_NAMED]) or "in its module or elsewhere"
         raise UnsavedStateError(
             f"{where}: another process that loads its checkpoint renders up to {apart * 127.5:.1f} grey levels "
@@ -185,18 +185,18 @@ def _check_image(image: Tensor, where: str) -> None:
         raise ValueError(f"{where}: returns {returned}, allowed are float32 numbers in [-1, 1]")
 
 
-def _unsaved(network: nn.Module, made: nn.Module) -> list[str]:
+def _unsaved(network: nn.Module, loaded: nn.Module) -> list[str]:
     """Names of attributes and buffers that differ between two networks and are not in their state_dict."""
-    saved, ours = made.state_dict().keys(), vars(nn.Module()).keys()
-    others = dict(made.named_modules())
+    saved, ours = loaded.state_dict().keys(), vars(nn.Module()).keys()
+    others = dict(loaded.named_modules())
     names = []
     for path, part in network.named_modules():
         if path not in others:
             continue
-        there = {**vars(others[path]), **others[path]._buffers}
+        state = {**vars(others[path]), **others[path]._buffers}
         for name, value in {**vars(part), **part._buffers}.items():
             dotted = f"{path}.{name}".lstrip(".")
-            if name not in ours and dotted not in saved and not _alike(value, there.get(name)):
+            if name not in ours and dotted not in saved and not _alike(value, state.get(name)):
                 names.append(dotted)
     return names
 

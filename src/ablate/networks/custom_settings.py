@@ -40,21 +40,21 @@ def check_taken(network_class: type, target: str, settings: Mapping[str, Any]) -
         return
     takes_any = any(p.kind is Parameter.VAR_KEYWORD for p in parameters)
     # The first one is the number of channels, unless it is *args.
-    own = {p.name: p for p in parameters[1:] if p.kind not in (*_VARIADIC, Parameter.POSITIONAL_ONLY)}
+    keywords = {p.name: p for p in parameters[1:] if p.kind not in (*_VARIADIC, Parameter.POSITIONAL_ONLY)}
     hints = _hints(network_class)
-    takes = f"{target} takes {_in_words(own, hints)}"
+    takes = f"{target} takes {_in_words(keywords, hints)}"
     for name, value in settings.items():
-        if name not in own:
+        if name not in keywords:
             if takes_any and name != parameters[0].name:
                 continue
-            meant = get_close_matches(name, own, n=1)
+            meant = get_close_matches(name, keywords, n=1)
             hint = f"did you mean settings.{meant[0]}? " if meant else ""
             raise ValueError(f"settings.{name}={shown(value)}: {hint}{takes}")
-        kinds = _kinds(own[name], hints)
+        kinds = _kinds(keywords[name], hints)
         if kinds and not any(_is_of(value, kind) for kind in kinds):
             allowed = " or ".join(dict.fromkeys(map(_kind_in_words, kinds)))
             raise ValueError(f"settings.{name}={shown(value)}: {target} takes {allowed} as {name}")
-    missing = [name for name, p in own.items() if p.default is Parameter.empty and name not in settings]
+    missing = [name for name, p in keywords.items() if p.default is Parameter.empty and name not in settings]
     if missing:
         raise ValueError(f"settings.{missing[0]}=... must be given: {takes}")
 

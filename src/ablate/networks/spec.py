@@ -162,8 +162,8 @@ class GeneratorSpec(Checked):
             raise ValueError(f"target={self.target} with family={self.family}: allowed is {allowed}")
         if self.settings and self.family is not Family.custom:
             name, value = next(iter(self.settings.items()))
-            own = "it has no settings of its own, as a network of yours may have (variant=custom)"
-            raise ValueError(f"settings.{name}={value} with family={self.family}: {own}")
+            reason = "it has no settings of its own, as a network of yours may have (variant=custom)"
+            raise ValueError(f"settings.{name}={value} with family={self.family}: {reason}")
         if self.noise is Noise.input and self.extra_input is ExtraInput.noise:
             raise ValueError("extra_input=noise with noise=input: allowed is one noise channel, drop either")
         if self.noise is Noise.body and self.space is not Space.beam:

@@ -52,7 +52,7 @@ def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
 
     Of the probe they are those of every kind.
     """
-    own = {one.name: one for one in settings_of(cls)}
+    by_name = {one.name: one for one in settings_of(cls)}
     table: dict[str, Setting] = {}
     for name, hint in get_type_hints(cls).items():
         if hint == Probe:
@@ -60,7 +60,7 @@ def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
         elif is_group(hint):
             table |= keys(hint, f"{prefix}{name}.")
         else:
-            table[prefix + name] = own[name]
+            table[prefix + name] = by_name[name]
     return table
 
 

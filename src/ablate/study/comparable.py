@@ -199,11 +199,11 @@ def untold_differences(jobs: Sequence[Job | Run], reference: str) -> list[str]:
     """
     declared = {component.key for component in components()}
     swept = {key for job in jobs for key in dict(job.changed)}
-    told = ("model.", *(start for group in swept & _OF_GROUPS.keys() for start in _OF_GROUPS[group]))
+    in_labels = ("model.", *(start for group in swept & _OF_GROUPS.keys() for start in _OF_GROUPS[group]))
     levels = {job.label: levels_of(job.identity) for job in jobs}
     notes = []
     for key in sorted({key for level in levels.values() for key in level}):
-        if key.startswith(told) or key in declared or key in _TOLD_BY_VARIANTS:
+        if key.startswith(in_labels) or key in declared or key in _TOLD_BY_VARIANTS:
             continue
         silent = {job.label for job in jobs if key not in dict(job.changed)}
         value_of = {label: level[key] for label, level in levels.items() if key in level and label in silent}

@@ -62,8 +62,8 @@ def compare_study(
     """
     refuse_link(asked.folder)
     if not asked.runs:
-        told = [f"{asked.folder} holds no finished run to compare.", *comparable_runs(asked).notes]
-        raise ConfigurationError(" ".join(told))
+        words = [f"{asked.folder} holds no finished run to compare.", *comparable_runs(asked).notes]
+        raise ConfigurationError(" ".join(words))
     # The list on disk is read and written by one process.
     with held(asked.folder / ".comparison.lock", "compares this study"):
         if not rebuild:
@@ -91,7 +91,7 @@ def on_screen(compared: Compared, look: str) -> str:
     All of it but long paths fits into `analysis.SCREEN_COLUMNS`. How to `look` at the study is the last line.
     """
     study, folder = compared.study, compared.study.folder / COMPARISON
-    told = [f"Note: {note}" for note in (*compared.notes, *_verdicts_in_words(folder / "verdicts.csv"))]
+    notes = [f"Note: {note}" for note in (*compared.notes, *_verdicts_in_words(folder / "verdicts.csv"))]
     best = analysis.best_in_words(study.table, study.results.claims, study.reference)
     report = folder / "report.html"
     if report.is_relative_to(Path.cwd()):
@@ -99,8 +99,8 @@ def on_screen(compared: Compared, look: str) -> str:
     return "\n".join(
         [
             analysis.to_text(study.table[study.table["metric"].isin(shown_in(Shown.screen))]),
-            *(line for note in told for line in wrap(note, SCREEN_COLUMNS, break_long_words=False)),
-            *([""] if told else []),
+            *(line for note in notes for line in wrap(note, SCREEN_COLUMNS, break_long_words=False)),
+            *([""] if notes else []),
             *wrap(f"Best    {best}", SCREEN_COLUMNS, subsequent_indent=" " * 8, break_long_words=False),
             f"Report  {report}",
             f"Look    {look}",
@@ -209,9 +209,9 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
         notes = list(runs[0].training.data_set.about["left_out"])
     except (OSError, ValueError, KeyError):
         notes = []  # the pairs have been deleted
-    told = [(str(note), run.name) for run in runs for note in run.notes]
-    for note in dict.fromkeys(note for note, _ in told):
-        names = [name for other, name in told if other == note]
+    of_runs = [(str(note), run.name) for run in runs for note in run.notes]
+    for note in dict.fromkeys(note for note, _ in of_runs):
+        names = [name for other, name in of_runs if other == note]
         notes.append(note if len(names) == len(runs) else f"{listed(names)}: {note}")
     scored = {name.partition("@")[0] for run in runs for name in run.score_names}
     unscored = [m.name for m in METRICS.values() if m.uses(FeatureKind.inception) and m.name not in scored]

@@ -77,14 +77,14 @@ def run_one(config: DictConfig) -> float | None:
     Without `-m` it is the whole command. Where a launcher that is not ours runs it for each job of a sweep, the study
     is not compared: `Comparison` does this when all have ended.
     """
-    own = HydraConfig.get()
-    is_sweep = own.mode is RunMode.MULTIRUN
-    launcher = own.runtime.choices["hydra/launcher"]
+    hydra_config = HydraConfig.get()
+    is_sweep = hydra_config.mode is RunMode.MULTIRUN
+    launcher = hydra_config.runtime.choices["hydra/launcher"]
     try:
-        if not is_sweep and any(word.startswith("hydra/launcher=") for word in _words(own, "hydra")):
+        if not is_sweep and any(word.startswith("hydra/launcher=") for word in _words(hydra_config, "hydra")):
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
-        swept = [str(key) for key in (own.sweeper.get("swept") or own.sweeper.get("params") or ())]
-        job = job_of(_words(own, "task"), swept if is_sweep else (), config=config)
+        swept = [str(key) for key in (hydra_config.sweeper.get("swept") or hydra_config.sweeper.get("params") or ())]
+        job = job_of(_words(hydra_config, "task"), swept if is_sweep else (), config=config)
         code = _do([job], Launch(start_here, compares=not is_sweep))
     except Exception as error:
         if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
@@ -127,22 +127,22 @@ def run_sweep(
     configs = [composed([*fixed, *line]) for line in lines]
     for line, config in zip(lines, configs, strict=True):
         refuse_other_launcher(master, config, [word for word in line if word.partition("=")[0] in swept])
-    made = [job_of(line, swept, fixed, config) for line, config in zip(lines, configs, strict=True)]
+    jobs = [job_of(line, swept, fixed, config) for line, config in zip(lines, configs, strict=True)]
 
-    def start_some(jobs: Sequence[Job], work: Work) -> None:
-        numbers = [made.index(job) for job in jobs]
-        start([(made[n], job_overrides[n], first_number + n) for n in numbers], work)
+    def start_some(chosen: Sequence[Job], work: Work) -> None:
+        numbers = [jobs.index(job) for job in chosen]
+        start([(jobs[n], job_overrides[n], first_number + n) for n in numbers], work)
 
-    sees_all = made[0].settings.objective is None and not _in_batches(master)
+    sees_all = jobs[0].settings.objective is None and not _in_batches(master)
     launch = Launch(start_some, elsewhere, compares=sees_all)
     try:
-        code = _do(made, launch)
+        code = _do(jobs, launch)
     except Exception as error:
         raise _Raised(error) from error
-    is_search = made[0].settings.objective is not None and made[0].settings.task is Task.study
+    is_search = jobs[0].settings.objective is not None and jobs[0].settings.task is Task.study
     if code and not is_search:
         raise SystemExit(code)
-    return [_returned(job, line, failed=is_search and not job.finished) for job, line in zip(made, lines, strict=True)]
+    return [_returned(job, line, failed=is_search and not job.finished) for job, line in zip(jobs, lines, strict=True)]
 
 
 def _returned(job: Job, line: Sequence[str], failed: bool) -> JobReturn:
@@ -192,11 +192,11 @@ class Comparison(hydra.experimental.callback.Callback):
         words = [*_words(config.hydra, "hydra"), *_words(config.hydra, "task")]
         HydraConfig.instance().set_config(config)
         jobs = jobs_of(["-m", *words, "task=compare"])
-        there = [job for job in jobs if job.settings.study_dir.is_dir()]
-        if not there:
+        begun = [job for job in jobs if job.settings.study_dir.is_dir()]
+        if not begun:
             return
         try:
-            code = _do(there, Launch(start_here))
+            code = _do(begun, Launch(start_here))
         except ConfigurationError as error:  # of which Hydra would print a warning
             raise _Raised(error) from error
         if code:

@@ -34,8 +34,8 @@ def export(jobs: Sequence[Job]) -> int:
         and imported
         and not (fan := Path(settings.scene.folder or "") / "fan.yaml").exists()
     ):
-        told = "which tells the mm of pairs made elsewhere; allowed without it: png, nnunet"
-        raise ConfigurationError(f"dataset.format=dicom: needs {fan}, {told}")
+        missing = "which tells the mm of pairs made elsewhere; allowed without it: png, nnunet"
+        raise ConfigurationError(f"dataset.format=dicom: needs {fan}, {missing}")
     maps = maps_needed(job.settings.model for job in jobs)
     data = prepare_data(settings, jobs[0].data, jobs[0].identity["data"], maps)
     pairs = data.pairs
@@ -71,9 +71,10 @@ def _card(settings: StudySettings, data: DataSet, classes: Classes) -> str:
     """A data card in Markdown."""
     pairs, about = data.pairs, data.about
     parts = ", ".join(f"{int((pairs.split == part).sum())} for {part.name}" for part in Part)
-    made = {key: about[key] for key in ("scene", "probe", "simulator", "simulator_version", "dataset") if key in about}
+    keys = ("scene", "probe", "simulator", "simulator_version", "dataset")
+    recipe = {key: about[key] for key in keys if key in about}
     card = Template(files("ablate.tasks").joinpath("card.md.jinja").read_text("utf-8"), keep_trailing_newline=True)
-    about_frames = {"parts": parts, "sites": len(np.unique(pairs.sites)), "made": json.dumps(made, indent=2)}
+    about_frames = {"parts": parts, "sites": len(np.unique(pairs.sites)), "made": json.dumps(recipe, indent=2)}
     about_frames |= {"names": classes.names}
     imported = not source_of(settings).has_scene
     probe = pairs.probe if imported else pairs.probe or settings.probe

@@ -105,10 +105,10 @@ def _made_with(
 ) -> dict[str, Any]:
     height_mm, width_mm = pixel_size_mm(settings.probe, simulator.image_shape)
     target = settings.scene.target
-    own = {} if target is None else {"target_source": code_digest(target)}
+    target_source = {} if target is None else {"target_source": code_digest(target)}
     return {
         "scene": plain(settings.scene),
-        **own,
+        **target_source,
         "probe": plain(settings.probe),
         "simulator": plain(simulator),
         "pulse_mm": dict(pulse_widths(settings.probe, simulator)._asdict()),

@@ -161,8 +161,8 @@ def compare(jobs: Sequence[Job]) -> int:
         asked = listed_runs(trainings_of(group))
         if len(jobs) == 1:
             kept = kept_list(settings.study_dir, settings.reference)
-            there = kept if kept.runs else replace(asked, runs=trained_runs(settings.study_dir), unfinished=())
-            asked = there if there.runs else asked
+            known = kept if kept.runs else replace(asked, runs=trained_runs(settings.study_dir), unfinished=())
+            asked = known if known.runs else asked
         if not asked.runs:
             raise ConfigurationError(_nothing_finished(settings, asked))
         _compare(asked, group, rebuild=True)

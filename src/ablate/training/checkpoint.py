@@ -72,8 +72,8 @@ def load_generator(path: Path, custom: str | None = None) -> Generator:
     try:
         prefix = "average." if TrainingSettings(**stored["settings"]).ema_decay > 0 else "generator."
         weights = checkpoint["state_dict"].items()
-        own = {key.removeprefix(prefix): value for key, value in weights if key.startswith(prefix)}
-        generator = stored_generator(GeneratorSpec(**stored["spec"]), stored["labels"], own)
+        averaged = {key.removeprefix(prefix): value for key, value in weights if key.startswith(prefix)}
+        generator = stored_generator(GeneratorSpec(**stored["spec"]), stored["labels"], averaged)
     except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error

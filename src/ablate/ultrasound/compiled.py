@@ -9,7 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -32,8 +32,8 @@ def _find_place() -> None:
         place = tempfile.mkdtemp(prefix="ablate-compiled-")
         setattr(config, _KEPT_IN, place)
         atexit.register(shutil.rmtree, place, ignore_errors=True)
-        told = "compiled code cannot be kept, so that each start takes longer; NUMBA_CACHE_DIR=<folder> names a place"
-        logging.getLogger(__name__).warning(told)
+        slow = "compiled code cannot be kept, so that each start takes longer; NUMBA_CACHE_DIR=<folder> names a place"
+        logging.getLogger(__name__).warning(slow)
 
 
 _find_place()
@@ -67,8 +67,8 @@ def _kept(function: Function, inlined: bool) -> Function:
     try:
         if base is not None:
             setattr(config, _KEPT_IN, str(base / f"compiled-{_DIGEST}"))
-        made = njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined, _nrt=not inlined)
-        return cast(Function, made(function))
+        options: Any = {"forceinline": inlined, "_nrt": not inlined}  # the second is not among Numba's types
+        return cast(Function, njit(cache=True, nogil=True, error_model="numpy", **options)(function))
     finally:
         setattr(config, _KEPT_IN, chosen)
 

@@ -80,17 +80,17 @@ class OwnSimulator(Simulator):
         """The image, (rows, scanlines) uint8, and its envelope, (scanlines, samples); of grey levels (0, 0)."""
         echoes = self.echoes(pose, seed)
         try:
-            made = self._form(echoes)
+            returned = self._form(echoes)
         except (Exception, SystemExit) as error:  # whatever the user's function does
             raise self._error(echoes, f"fails: {describe_error(error)}") from error
-        if fault := _fault_of(made, self.settings):
+        if fault := _fault_of(returned, self.settings):
             raise self._error(echoes, f"returns {fault}")
-        if isinstance(made, Rf | Iq):
-            lines = _at_samples(made, self.settings.axial_samples).T
+        if isinstance(returned, Rf | Iq):
+            lines = _at_samples(returned, self.settings.axial_samples).T
             signal = np.array([lines.real, lines.imag], self._chain.speckle.dtype, order="C")
             nothing = np.empty((0, signal.shape[2]), signal.dtype)
             return self._chain.shown([(signal, nothing)], echoes.pose, echoes.seed, display)
-        picture = np.rint(made).astype(np.uint8)
+        picture = np.rint(returned).astype(np.uint8)
         if display is not None:
             depth = sample_depths_mm(self.probe, len(picture))[:, None] / self.probe.depth_mm
             picture = display.shown(picture, depth, self.settings)
@@ -101,17 +101,17 @@ class OwnSimulator(Simulator):
         return OwnSimulatorError(f"scene.target={self._target}: {what} (probe at {place} mm, seed {echoes.seed})")
 
 
-def _fault_of(made: object, settings: SimulatorSettings) -> str:
+def _fault_of(returned: object, settings: SimulatorSettings) -> str:
     """What is wrong with what a function returns, and what is allowed; empty where nothing is."""
-    of_lines = isinstance(made, Rf | Iq)
-    values = made.lines if isinstance(made, Rf | Iq) else made
-    name = f"{type(made).__name__} of " if of_lines else ""
+    of_lines = isinstance(returned, Rf | Iq)
+    values = returned.lines if isinstance(returned, Rf | Iq) else returned
+    name = f"{type(returned).__name__} of " if of_lines else ""
     rows, scanlines = settings.beam_shape
     if not isinstance(values, np.ndarray):
         grey = f"grey levels, a NumPy array of {rows} x {scanlines}"
         return f"{name}{type(values).__name__}; allowed are {grey}, or ablate.ultrasound.Rf or Iq of an array"
     shape = " x ".join(map(str, values.shape)) or "one number"
-    kinds = {Rf: "f", Iq: "c"}.get(type(made), "uif")
+    kinds = {Rf: "f", Iq: "c"}.get(type(returned), "uif")
     if values.dtype.kind not in kinds:
         allowed = {"f": "real numbers", "c": "complex numbers"}.get(kinds, "uint8, or other real numbers from 0 to 255")
         hint = "; complex lines are ablate.ultrasound.Iq(lines)" if name == "" and values.dtype.kind == "c" else ""

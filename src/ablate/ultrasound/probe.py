@@ -45,8 +45,8 @@ def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float
 
     def steered(angle: float, depth_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from_centre = radius + depth_mm
-        there = np.arcsin(radius * math.sin(angle) / from_centre)  # its angle with the radius, by the law of sines
-        return from_centre * np.cos(there) - radius * math.cos(angle), there - angle
+        turned = np.arcsin(radius * math.sin(angle) / from_centre)  # its angle with the radius, by the law of sines
+        return from_centre * np.cos(turned) - radius * math.cos(angle), turned - angle
 
     return Fan(
         size_mm=(reach - radius * math.cos(half), 2 * reach * math.sin(half)),

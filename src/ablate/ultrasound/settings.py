@@ -276,8 +276,8 @@ def probe_from(values: Mapping[str, Any]) -> Probe:
     if kind not in PROBES:
         raise ValueError(f"kind={shown(kind)}: allowed are {', '.join(PROBES)}")
     cls = PROBES[ProbeKind(kind)]
-    own = [field.name for field in fields(cls)]
+    allowed = [field.name for field in fields(cls)]
     for name, value in given.items():
-        if name not in own:
-            raise ValueError(f"{name}={shown(value)}: a {kind} probe has {', '.join(own)}")
+        if name not in allowed:
+            raise ValueError(f"{name}={shown(value)}: a {kind} probe has {', '.join(allowed)}")
     return cls(**given)

@@ -146,8 +146,8 @@ class Simulator:
             return segmentation, attenuation, replace(beam, grain=self.grain(pose, seed))
 
         # some steps of an image cannot be shared among threads
-        made = side_by_side(partial(self._image, pose, seed, display), maps)
-        (image, envelope), (segmentation, attenuation, beam) = made
+        image_and_maps = side_by_side(partial(self._image, pose, seed, display), maps)
+        (image, envelope), (segmentation, attenuation, beam) = image_and_maps
         return Frame(
             segmentation=segmentation,
             attenuation=attenuation,
@@ -212,9 +212,9 @@ class Simulator:
         }
         wanted = {make: names for make, names in makes.items() if names}
         with without_teams():
-            made = chain.from_iterable(side_by_side(*(partial(self._of, pose, make) for make in wanted)))
+            maps = chain.from_iterable(side_by_side(*(partial(self._of, pose, make) for make in wanted)))
         names = chain.from_iterable(wanted.values())
-        return Beam(**{name: values.copy() for name, values in zip(names, made, strict=True)})
+        return Beam(**{name: values.copy() for name, values in zip(names, maps, strict=True)})
 
     def grain(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
         """The lattice of scatterers at a pose, (rows, scanlines, 2) complex64; ValueErrors are those of `render`."""

@@ -96,8 +96,8 @@ def _draw_panel(
     if floor is not None:
         axes.axhline(0.0 if relative else floor, lw=0.9, **baseline_line(metric))
     if len(beyond):
-        told = [f"{point['name']}: {point['y']:+.{judge.decimals}f}" for point in beyond.to_dict("records")]
-        lines = textwrap.fill("beyond the axis: " + "; ".join(told), _TITLE_LETTERS)
+        values = [f"{point['name']}: {point['y']:+.{judge.decimals}f}" for point in beyond.to_dict("records")]
+        lines = textwrap.fill("beyond the axis: " + "; ".join(values), _TITLE_LETTERS)
         axes.set_title(lines, fontsize=6, color="#555555")
     side = "below" if judge.better is Direction.higher else "above"
     unit = f" ({judge.unit})" if judge.unit else ""

@@ -85,8 +85,8 @@ def _build(triangles: int, seed: int) -> Scene:
         *moved(fetus, pregnancy.to_world),
     ]
     tissues = load_tissues()
-    there = [part for part in parts if len(part.mesh.faces)]  # a placenta may have no vessels
-    structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in there)
+    parts_with_faces = [part for part in parts if len(part.mesh.faces)]  # a placenta may have no vessels
+    structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in parts_with_faces)
     return Scene(structures, tissues["coupling_gel"], "fetal_abdomen")
 
 

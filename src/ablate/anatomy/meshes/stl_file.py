@@ -39,8 +39,8 @@ def _ascii_corners(text: str) -> np.ndarray:
     torn = re.compile("s?((?:fovvvld)*)(?:f(?:o(?:v(?:v(?:vl?)?)?)?)?)?").match(codes, whole.end() if whole else 0)
     if whole and torn and whole.end() < len(codes):
         place = f"after {len(torn[1]) // 7} whole triangles of solid {codes.count('e', 0, whole.end()) + 1}"
-        there = f"there is {shown(lines[torn.end()])}" if torn.end() < len(lines) else "the file ends"
-        raise ValueError(f"{place}, and before its endsolid, {there}")
+        next_line = f"there is {shown(lines[torn.end()])}" if torn.end() < len(lines) else "the file ends"
+        raise ValueError(f"{place}, and before its endsolid, {next_line}")
     words: list[str] = []
     for line, code in zip(lines, codes, strict=True):
         if code == "v":

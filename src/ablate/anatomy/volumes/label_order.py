@@ -117,7 +117,7 @@ def _add_body(order: np.ndarray, body: Body, where: str) -> None:
         mask = numbered == 1 + np.argmax(np.bincount(numbered.ravel(order="K"))[1:])
     del numbered
     across = int(np.argmax(np.abs(body.image.affine[2, :3]) / body.image.spacing_mm))
-    for plane, own in zip(np.moveaxis(mask, across, 0), np.moveaxis(order, across, 0), strict=True):
-        own[(own == 0) & ndimage.binary_fill_holes(plane)] = 1
+    for plane, numbers in zip(np.moveaxis(mask, across, 0), np.moveaxis(order, across, 0), strict=True):
+        numbers[(numbers == 0) & ndimage.binary_fill_holes(plane)] = 1
     if not (order == 1).any():
         raise ValueError(f"{where}.body.above: no voxel of {body.image.path} is above {body.above:g} and has no label")

@@ -127,10 +127,10 @@ def _fields(block: np.ndarray, number: int, spacing_mm: Sequence[float]) -> tupl
     if block.max() <= number:
         return smoothed(to_earlier - to_own), None
     to_later = _distance(block > number, spacing_mm, reach_mm)
-    own = smoothed(np.minimum(to_earlier, to_later) - to_own)
+    this = smoothed(np.minimum(to_earlier, to_later) - to_own)
     both = smoothed(to_earlier - np.minimum(to_own, to_later))
     later = smoothed(np.minimum(to_earlier, to_own) - to_later)
-    return np.minimum((both + _SLOPE * own) / (1 + _SLOPE), own + hidden_mm), later
+    return np.minimum((both + _SLOPE * this) / (1 + _SLOPE), this + hidden_mm), later
 
 
 def _distance(mask: np.ndarray, spacing_mm: Sequence[float], reach_mm: float) -> np.ndarray:

@@ -108,7 +108,7 @@ def worse_than(of_frames: pd.DataFrame, series: str, setting: str) -> pd.DataFra
     chosen = of_frames[(of_frames["series"] == series) & (of_frames["setting"] == setting)]
     paired = of_frames.merge(chosen[["metric", "frame", "badness"]], on=["metric", "frame"], suffixes=("", "_there"))
     paired["worse"] = paired["badness"] - paired["badness_there"]
-    told = paired.groupby(["series", "setting", "metric"], sort=False)["worse"].agg(["mean", "std", "count"])
-    reach = told["std"] / np.sqrt(told["count"]) * stats.t.ppf((1 + LEVEL) / 2, told["count"] - 1)
-    ends = {WORSE_BOUNDS[0]: told["mean"] - reach, WORSE_BOUNDS[1]: told["mean"] + reach}
-    return told.rename(columns={"mean": "worse"})[["worse"]].assign(**ends).reset_index()
+    statistics = paired.groupby(["series", "setting", "metric"], sort=False)["worse"].agg(["mean", "std", "count"])
+    reach = statistics["std"] / np.sqrt(statistics["count"]) * stats.t.ppf((1 + LEVEL) / 2, statistics["count"] - 1)
+    ends = {WORSE_BOUNDS[0]: statistics["mean"] - reach, WORSE_BOUNDS[1]: statistics["mean"] + reach}
+    return statistics.rename(columns={"mean": "worse"})[["worse"]].assign(**ends).reset_index()

@@ -48,17 +48,17 @@ def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
     Of a network they are the fastest engine and the first seed, in each precision; of the simulator the settings that
     are no slower than those of the data set, `usual`.
     """
-    told = errors[~errors["series"].isin([*SERIES])]
-    told = told[told["metric"] != ENVELOPE]
-    simulated = told[told["series"] == OTHER_SERIES]
-    own = simulated[simulated["setting"] == usual]
-    faster = simulated[(simulated["ms"] < own["ms"].min()) & (simulated["setting"] != usual)]
-    repeated = faster.merge(own[["metric", "error"]], on=["metric", "error"])["setting"]  # of a ladder of its own
-    faster = faster[~faster["setting"].isin(repeated)]
+    points = errors[~errors["series"].isin([*SERIES])]
+    points = points[points["metric"] != ENVELOPE]
+    simulated = points[points["series"] == OTHER_SERIES]
+    resimulated = simulated[simulated["setting"] == usual]
+    faster = simulated[(simulated["ms"] < resimulated["ms"].min()) & (simulated["setting"] != usual)]
+    again = faster.merge(resimulated[["metric", "error"]], on=["metric", "error"])  # from another ladder
+    faster = faster[~faster["setting"].isin(again["setting"])]
     names = {setting: named_setting(OTHER_SERIES, setting) for setting in faster["setting"]} | {usual: RESIMULATION}
-    of_simulator = pd.concat([own, faster]).assign(setting=lambda table: table["setting"].map(names))
-    formula = told[told["series"] == FORMULA].assign(setting="")
-    networks = told[~told["series"].isin([OTHER_SERIES, FORMULA])]
+    of_simulator = pd.concat([resimulated, faster]).assign(setting=lambda table: table["setting"].map(names))
+    formula = points[points["series"] == FORMULA].assign(setting="")
+    networks = points[~points["series"].isin([OTHER_SERIES, FORMULA])]
     ways = networks["setting"].str.extract(WAY)
     ranked = networks.assign(**ways, number=ways["seed"].astype(float).fillna(0.0)).sort_values(["number", "ms"])
     first = ranked.drop_duplicates(["series", "study", "precision", "metric"]).sort_index()

@@ -168,8 +168,8 @@ def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dic
     make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses)
     make(nudged(bench.poses[0]), bench.seed, names, space)
     poses = shown_progress(bench.poses, f"inputs of generators, {space} space")
-    made = [make(pose, bench.seed, names, space) for pose in poses]
-    inputs, times = zip(*made, strict=True)
+    inputs_and_times = [make(pose, bench.seed, names, space) for pose in poses]
+    inputs, times = zip(*inputs_and_times, strict=True)
     arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
 

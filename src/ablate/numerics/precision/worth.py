@@ -70,7 +70,7 @@ def _renderers(judged: pd.DataFrame) -> pd.DataFrame:
     networks = networks.assign(**ways, renderer=networks["series"] + study)
     chosen = [formula]
     for _, points in networks.groupby("renderer", sort=False):
-        fastest = points.loc[points["ms"].idxmin()]
+        fastest = points.sort_values("ms").iloc[0]
         same = points[points["precision"] == fastest["precision"]]
         first_engine = same["engine"].iloc[0]  # in which every training is measured
         chosen.append(same[same["engine"] == first_engine].assign(ms=fastest["ms"]))

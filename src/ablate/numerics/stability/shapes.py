@@ -127,10 +127,10 @@ def _far(checks: Checks, away_mm: float, size: float) -> None:
     """Scene and probe far from the origin of the world: the same labels, other speckle with the same statistics."""
     scene, settings, probe = _scaled(size)
     near = checks.both(scene, settings, probe)
-    there = np.array([away_mm, -away_mm, away_mm])
-    mesh = scene.structures[0].mesh.copy().apply_translation(there)
+    shift_mm = np.array([away_mm, -away_mm, away_mm])
+    mesh = scene.structures[0].mesh.copy().apply_translation(shift_mm)
     away = replace(scene, structures=(Structure(mesh, scene.structures[0].tissue),))
-    for frame in checks.frames(away, settings, probe, moved(*there)):
+    for frame in checks.frames(away, settings, probe, moved(*shift_mm)):
         why = "Coordinates are taken relative to the middle of the scene before they become float32."
         _same_labels(checks, "those at the origin", frame, near, why)
         part, other = (f.envelope[100:250].astype(float) for f in (frame, near[checks.dtype]))  # from 15 to 37 mm

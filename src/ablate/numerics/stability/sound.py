@@ -56,12 +56,12 @@ def _slope(frame: Frame, depth_cm: np.ndarray, part: np.ndarray | slice) -> floa
 def _step(checks: Checks, z1: float, z2: float) -> None:
     """A surface between two impedances at normal incidence: reflected and transmitted energy add up to 1."""
     r = (z2 - z1) / (z2 + z1)
-    here, there = (Tissue(n, 1540, z, 0.0, 0.6, 0.0, 1.0, roughness=0.0) for n, z in (("a", z1), ("b", z2)))
-    anechoic_here, anechoic_there = (replace(t, scatterer_density=0.0) for t in (here, there))
-    alike = replace(there, impedance_mrayl=z1)
+    before, behind = (Tissue(n, 1540, z, 0.0, 0.6, 0.0, 1.0, roughness=0.0) for n, z in (("a", z1), ("b", z2)))
+    anechoic_before, anechoic_behind = (replace(t, scatterer_density=0.0) for t in (before, behind))
+    alike = replace(behind, impedance_mrayl=z1)
     transmitted, unchanged, echo = (
         checks.both(Scene((slab(far, 50.0, 200.0),), near, "step"), ONE_LINE, PENCIL)
-        for near, far in ((here, there), (here, alike), (anechoic_here, anechoic_there))
+        for near, far in ((before, behind), (before, alike), (anechoic_before, anechoic_behind))
     )
     checks.any_frame(transmitted, ONE_LINE, PENCIL)
     pulse = axial_kernel(PENCIL, ONE_LINE)

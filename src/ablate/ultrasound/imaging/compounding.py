@@ -100,10 +100,10 @@ class Steered:
         first_mm, spacing_mm = self._steps(count)
         range_mm, beside = self._places(count)
         places = (range_mm - first_mm) / spacing_mm, beside
-        made = np.empty_like(values)
-        gather = partial(_gather, values, places, self.per_line_mm / spacing_mm, made)
+        on_frame = np.empty_like(values)
+        gather = partial(_gather, values, places, self.per_line_mm / spacing_mm, on_frame)
         in_parts(gather, scanlines, LINES_OF_A_PART)
-        return made
+        return on_frame
 
     def _steps(self, count: int) -> tuple[float, float]:
         """The first of so many depths from the first sample to the last, and from one to the next, mm."""

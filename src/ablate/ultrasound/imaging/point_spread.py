@@ -170,10 +170,10 @@ def blur(
         for block in range(begin, end):
             some, kernel = slice(edges[block], edges[block + 1]), min(block, len(lateral) - 1)
             for channel, signal in enumerate(given):
-                own = torch.mm(lateral[kernel], signal[:, some]).mul_(spread.scatterer_scale[kernel])
+                blurred = torch.mm(lateral[kernel], signal[:, some]).mul_(spread.scatterer_scale[kernel])
                 if channel == 0 and flat is not None:
-                    own.addmm_(lateral[kernel], flat[:, some].to(lateral.dtype))
-                total[channel, :, some] = own
+                    blurred.addmm_(lateral[kernel], flat[:, some].to(lateral.dtype))
+                total[channel, :, some] = blurred
 
     in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if given.device.type == "cpu" else blocks)
     if shift is not None:

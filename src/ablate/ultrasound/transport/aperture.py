@@ -145,9 +145,9 @@ def _add_up(steps: np.ndarray, lost: np.ndarray, elements: Arrays, gain: np.ndar
                 crossed = steps[layer, step, first : first + lines]
                 for line in range(lines):
                     way[line] -= crossed[line]
-            there = exists[depth, element]
+            seen = exists[depth, element]
             for line in range(lines):
-                share = weights[element] * there[line]
+                share = weights[element] * seen[line]
                 weight[line] += share
                 amplitude[line] += share * exponential(min(way[line], _MOST_DB) * _NEPER_PER_DB)
         for line in range(lines):

@@ -75,10 +75,10 @@ class SurfaceMaps:
         reverberation, as one ray of each scanline and layer brings it back.
         """
         (direct, levels), haze = side_by_side(partial(self._direct, pose), partial(self._reverberation, pose))
-        made = np.empty(haze.shape, np.float32), np.empty(haze.shape, np.float32)
-        show = partial(_show, direct, levels, haze, self._gains_db, made)
+        maps = np.empty(haze.shape, np.float32), np.empty(haze.shape, np.float32)
+        show = partial(_show, direct, levels, haze, self._gains_db, maps)
         in_parts(show, len(haze), _LINES_OF_A_PART)
-        return np.ascontiguousarray(made[0].T), np.ascontiguousarray(made[1].T)
+        return np.ascontiguousarray(maps[0].T), np.ascontiguousarray(maps[1].T)
 
     def _direct(self, pose: np.ndarray) -> tuple[np.ndarray, Arrays]:
         """Echoes, (layers, scanlines, rows); levels of pencils and of all elements, (layers, scanlines, nodes), dB."""

@@ -71,12 +71,12 @@ def add_script(
     """
 
     def hear(text: str) -> None:
-        told = json.loads(text.removeprefix(_BOX) or "{}")
-        if "place" in told:
-            x, y = map(float, told["place"])
-            clicked((x, y), bool(told.get("shift")))
-        if "width" in told:
-            resized(float(told["width"]))
+        message = json.loads(text.removeprefix(_BOX) or "{}")
+        if "place" in message:
+            x, y = map(float, message["place"])
+            clicked((x, y), bool(message.get("shift")))
+        if "width" in message:
+            resized(float(message["width"]))
 
     gui.add_text("page", _BOX).on_update(listens(hear))
     gui.add_html(f'{_STYLE}<img alt="" style="display: none" src="data:," onerror="{escape(_SCRIPT)}">')
