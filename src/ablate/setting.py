@@ -185,7 +185,7 @@ def _checked(one: Setting, value: Any) -> Any:
 def _as_stored(value: Any) -> Any:
     """A free value as JSON gives it back, in containers of its own; a ValueError where JSON cannot hold it."""
     if isinstance(value, Mapping) and all(isinstance(name, str) and name for name in value):
-        return {name: _as_stored(of_name) for name, of_name in value.items()}
+        return {name: _as_stored(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_as_stored(part) for part in value]
     if value is None or isinstance(value, bool | str):

@@ -40,10 +40,10 @@ def load_anew(path: str) -> Any:
     Those that cannot be run twice, or that were edited since they were loaded, are taken as they are.
     """
     files = _files(*_holders(path))
-    of_user = [name for name in files if name in sys.modules and name != "__main__" and _own_file(name)]
-    if not of_user or _digest_of(files) != code_digest(path):
+    user_modules = [name for name in files if name in sys.modules and name != "__main__" and _own_file(name)]
+    if not user_modules or _digest_of(files) != code_digest(path):
         return load(path)
-    loaded = {name: sys.modules.pop(name) for name in of_user}
+    loaded = {name: sys.modules.pop(name) for name in user_modules}
     try:
         anew = load(path)
     except ValueError:

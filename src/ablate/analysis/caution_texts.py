@@ -45,7 +45,7 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
     networks = per_image[is_network(per_image["variant"])]
     variants = ordered_variants(list(networks["variant"]), reference)
     seeds = networks.groupby("variant")["seed"].nunique()
-    of_all_data = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
+    all_rows = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
     text = filled(
         "cautions.jinja",
         reference=reference,
@@ -62,8 +62,8 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.Dat
         label=metric_of(CONTROL).label,
         sites=networks["site"].nunique(),
         few_sites=FEW_SITES,
-        short=_short_runs(of_all_data),
-        gaps=_gaps(of_all_data),
+        short=_short_runs(all_rows),
+        gaps=_gaps(all_rows),
         metrics_of_the_package=METRICS,
     )
     return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]

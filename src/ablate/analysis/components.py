@@ -115,8 +115,8 @@ def told_by(levels: Mapping[str, Sequence[object]], components: Sequence[Compone
     """
     told: dict[str, list[Component]] = {}
     for component in components:
-        of_key = levels.get(component.key, ())
-        if len(of_key) > 1:
+        levels_of_key = levels.get(component.key, ())
+        if len(levels_of_key) > 1:
             told.setdefault(component.key, []).append(component)
     for key, several in told.items():
         if len(several) > 1:

@@ -66,10 +66,10 @@ def best_in_words(table: pd.DataFrame, claims: pd.DataFrame, reference: str) -> 
 
 def _difference(claims: pd.DataFrame, metric: str, best: str, other: str, reference: str) -> str:
     """The difference of two networks with its interval over seeds, as far as there are seeds to tell."""
-    of_pair = claims[(claims["metric"] == metric) & (claims["variant"] == (other if best == reference else best))]
-    if reference not in (best, other) or of_pair.empty:
+    rows = claims[(claims["metric"] == metric) & (claims["variant"] == (other if best == reference else best))]
+    if reference not in (best, other) or rows.empty:
         return f"compare them with reference={other}"
-    row = of_pair.iloc[0]
+    row = rows.iloc[0]
     if pd.isna(row["shift"]) or pd.isna(row["lower"]):
         return "too few seeds to say more than that of these trained networks"
     sign = -1 if best == reference else 1  # the table has what the other one adds to the reference

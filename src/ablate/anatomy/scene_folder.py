@@ -77,12 +77,12 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     in_space |= {space: f"{mesh.name} is" for mesh, _ in meshes if (space := mesh_space(mesh))}
     if len(in_space) > 1:  # as 3D Slicer marks meshes
         raise ValueError(f"{path}: {in_space['LPS']} in LPS, but {in_space['RAS']} in RAS; export all as RAS")
-    of_labels = labels.structures if labels else ()
-    used = {background.name, *(tissue.name for _, tissue in (*meshes, *of_labels))}
+    labelled = labels.structures if labels else ()
+    used = {background.name, *(tissue.name for _, tissue in (*meshes, *labelled))}
     for name in sorted({str(name) for name in content.get("tissues") or ()} - used):
         if near := [other for other in used if other.casefold() == name.casefold()]:
             raise ValueError(f"{path}: tissues.{name}: nothing here is made of it; did you mean {near[0]}?")
-    names = {name: name for name in (*(name for name, _ in of_labels), *(mesh.name for mesh, _ in meshes))}
+    names = {name: name for name in (*(name for name, _ in labelled), *(mesh.name for mesh, _ in meshes))}
     names |= {f"label {label.number}": label.name for label in labels.labels if label.tissue} if labels else {}
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
     return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)

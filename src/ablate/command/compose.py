@@ -129,8 +129,8 @@ def refuse_other_launcher(master: DictConfig, job: DictConfig, words: Sequence[s
         assert isinstance(ours, dict)
         if {**theirs, "swept": None} != {**ours, "swept": None}:
             chosen = f"hydra/{node} ({job.hydra.runtime.choices[f'hydra/{node}']}) or its settings"
-            of_all = f"one {node} is for all jobs of a sweep: type both beside -m"
-            raise ConfigurationError(f"{' '.join(words)}: a file chooses {chosen}; {of_all}")
+            reason = f"one {node} is for all jobs of a sweep: type both beside -m"
+            raise ConfigurationError(f"{' '.join(words)}: a file chooses {chosen}; {reason}")
 
 
 def without_repetitions(jobs: Sequence[Job]) -> list[Job]:

@@ -87,14 +87,14 @@ def _ends(key: str, value: object) -> Iterator[str]:
     if not isinstance(value, dict):
         yield key
         return
-    for name, of_name in value.items():
-        yield from _ends(f"{key}.{name}", of_name)
+    for name, inner in value.items():
+        yield from _ends(f"{key}.{name}", inner)
 
 
 def _wanted(named: Collection[str]) -> set[str]:
     """The keys that labels name."""
-    of_networks = (key for key in _deciding() if key.startswith("model.") and key != _SIZE)
-    return {*named, *_LIKE_A_COMPONENT, *of_networks}
+    network_keys = (key for key in _deciding() if key.startswith("model.") and key != _SIZE)
+    return {*named, *_LIKE_A_COMPONENT, *network_keys}
 
 
 def _groups(config: DictConfig, chosen: StudySettings, kept: Sequence[str]) -> list[str]:
@@ -160,5 +160,5 @@ def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
 
 def _name_of(key: str) -> str:
     """The last part of a key; of one of the user's network all that is the user's, as two groups may end alike."""
-    of_network = key.removeprefix(OF_OWN_NETWORK)
-    return key.rpartition(".")[2] if of_network == key else of_network.replace(".", "_")
+    name = key.removeprefix(OF_OWN_NETWORK)
+    return key.rpartition(".")[2] if name == key else name.replace(".", "_")

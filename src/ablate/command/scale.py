@@ -70,8 +70,8 @@ def register_resolvers() -> None:
 def _knows_scatterers(root: DictConfig) -> bool:
     """Whether noise can be the lattice of scatterers: in beam space, of simulated frames, with a loss of one draw."""
     in_beam_space = str(root.model.space) == Space.beam
-    of_one_draw = str(root.training.reconstruction) != Reconstruction.crps
-    return in_beam_space and of_one_draw and str(root.scene.kind) != "pairs"
+    is_of_one_draw = str(root.training.reconstruction) != Reconstruction.crps
+    return in_beam_space and is_of_one_draw and str(root.scene.kind) != "pairs"
 
 
 def _probe(root: DictConfig) -> Probe:

@@ -27,7 +27,7 @@ def said_of_search(config: DictConfig) -> list[str]:
     except (OSError, yaml.YAMLError):
         found = None
     if isinstance(found, Mapping) and isinstance(best := found.get("best_params"), Mapping) and "best_value" in found:
-        return _said(config, {str(key): of_key for key, of_key in best.items()}, found["best_value"])
+        return _said(config, {str(key): best_of_key for key, best_of_key in best.items()}, found["best_value"])
     return [f"Search  {results} has what {name} has found"] if results.exists() else []
 
 

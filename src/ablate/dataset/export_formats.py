@@ -63,10 +63,10 @@ def write_png(pairs: Pairs, folder: Path, tissues: Sequence[Tissue]) -> None:
     for name in sorted(pairs.maps & FOLDERS.keys()):
         if pairs.missing(frozenset({name})):
             continue
-        of_map = folder / FOLDERS[name]
-        of_map.mkdir(parents=True, exist_ok=True)
+        map_folder = folder / FOLDERS[name]
+        map_folder.mkdir(parents=True, exist_ok=True)
         for frame in numbers:
-            write_image(of_map / f"{_name(frame)}.png", pairs.stored(name, frame))
+            write_image(map_folder / f"{_name(frame)}.png", pairs.stored(name, frame))
     frames = {
         "name": [_name(frame) for frame in numbers],
         "site": [f"site{site}" for site in pairs.sites],

@@ -38,12 +38,12 @@ def maps_read(names: Sequence[str], space: Space, maps: FrameMaps, probe: Probe,
     ValueError
         Where a map is wanted that the frame does not have.
     """
-    of_image, attenuation_of_image, beam = maps
-    image_shape = of_image.shape[:2]
+    image_maps, attenuation_of_image, beam = maps
+    image_shape = image_maps.shape[:2]
     beam_shape = beam.segmentation.shape[:2]
     in_beam = Space(space) is Space.beam
     read = {
-        "segmentation": beam.segmentation if in_beam else of_image,
+        "segmentation": beam.segmentation if in_beam else image_maps,
         "attenuation": beam.attenuation if in_beam else attenuation_of_image,
     }
     if "compensated" in names:

@@ -65,7 +65,7 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
 
     It raises an OwnSimulatorError, which names the frame, where a simulator of the user's own fails.
     """
-    of_target = recipe.settings
+    target_settings = recipe.settings
     again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
     make = simulators_of(recipe.target)
     if recipe.target is not None and code_digest(recipe.target) != recipe.source:
@@ -79,14 +79,14 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
         pose = pairs.poses[frame]
         rendered: dict[str, np.ndarray] = {}
         if maps & _WITHOUT_IMAGE:
-            beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES), COMPOUND in maps)
+            beam = simulator(target_settings).beam_maps(pose, bool(maps & OF_SURFACES), COMPOUND in maps)
             rendered = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
         if "target" in maps:
-            rendered["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
+            rendered["target"] = simulator(target_settings).beam_image(pose, seed=recipe.seed)
         if "resimulation" in maps and pairs.split[frame] != Part.train:
             rendered["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
         if "low" in maps:
-            rendered["low"] = simulator(of_low(of_target)).beam_image(pose, seed=recipe.seed)
+            rendered["low"] = simulator(of_low(target_settings)).beam_image(pose, seed=recipe.seed)
         return rendered
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
@@ -223,20 +223,20 @@ def timed_maps(
     nothing = np.zeros(settings.image_shape, np.uint8)
 
     def make(pose: np.ndarray, seed: int, names: Sequence[str], space: Space) -> Timed:
-        of_image = space is Space.image
+        in_image_space = space is Space.image
         with stage_times() as stages:
             start = time.perf_counter()
             beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)), COMPOUND in names)
             if GRAIN in names:
                 beam = replace(beam, grain=simulator.grain(pose, seed))
-            segmentation, attenuation = simulator.maps(pose) if of_image else (nothing, nothing)
+            segmentation, attenuation = simulator.maps(pose) if in_image_space else (nothing, nothing)
             maps = maps_read(names, space, (segmentation, attenuation, beam), probe, settings.time_gain)
             whole_ms = 1e3 * (time.perf_counter() - start)
         times = _shares(stages, whole_ms, names, space)
         if "low" in names:
             low = simulator_of_low()
             start = time.perf_counter()
-            maps["low"] = low.image(pose, seed) if of_image else low.beam_image(pose, seed)
+            maps["low"] = low.image(pose, seed) if in_image_space else low.beam_image(pose, seed)
             times["low"] = 1e3 * (time.perf_counter() - start)
         return maps, times
 
@@ -247,14 +247,14 @@ def _shares(
     stages: Mapping[str, Sequence[float]], whole_ms: float, names: Sequence[str], space: Space
 ) -> dict[str, float]:
     """The milliseconds of each map but `low`, from those of the stages that made them."""
-    of_labels = Stage.pixel_labels if space is Space.image else Stage.attenuation_labels
-    of_maps = {
-        "segmentation": sum(stages[of_labels]),
+    label_stage = Stage.pixel_labels if space is Space.image else Stage.attenuation_labels
+    stages_of_maps = {
+        "segmentation": sum(stages[label_stage]),
         "interfaces": sum(ms for stage in Stage if stage not in _OF_OTHERS for ms in stages[stage]),
         GRAIN: sum(stages[Stage.grain]),
     }
     at_once = max(1.0, sum(map(sum, stages.values())) / whole_ms)
-    times = {name: ms / at_once for name, ms in of_maps.items() if name in names}
+    times = {name: ms / at_once for name, ms in stages_of_maps.items() if name in names}
     for name in ("attenuation", "compensated", "illumination", COMPOUND):
         if name in names:
             times[name] = whole_ms - sum(times.values())

@@ -62,8 +62,8 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
     """
     site = np.asarray(sites)
     order = np.random.default_rng([seed, Drawn.frames]).permutation(len(site))
-    of_site: defaultdict[int, count[int]] = defaultdict(count)
-    rank = [next(of_site[s]) for s in site[order]]  # how many poses of the same site come before, in that order
+    counters: defaultdict[int, count[int]] = defaultdict(count)
+    rank = [next(counters[s]) for s in site[order]]  # how many poses of the same site come before, in that order
     return np.sort(order[np.argsort(rank, kind="stable")[:frames]])
 
 

@@ -67,15 +67,17 @@ def baselines(scorer: Scorer, spec: GeneratorSpec) -> tuple[Baseline, ...]:
     pairs, moved = scorer.pairs, scorer.moved
     found, in_beam = [], spec.space is Space.beam
     if "resimulation" in pairs.maps:
-        of_moved = None if moved is None else resimulation_images(moved.pairs)
-        of_beam = resimulation_images(pairs, Space.beam) if in_beam else None
-        found.append(Baseline(RESIMULATED, resimulation_images(pairs), of_moved, of_beam, {"space": spec.space}))
+        moved_images = None if moved is None else resimulation_images(moved.pairs)
+        beam_images = resimulation_images(pairs, Space.beam) if in_beam else None
+        found.append(
+            Baseline(RESIMULATED, resimulation_images(pairs), moved_images, beam_images, {"space": spec.space})
+        )
     if pairs.simulator is not None:
         images = formula_images(scorer.tissues, pairs, spec)
-        of_beam = formula_images(scorer.tissues, pairs, spec, space=Space.beam) if in_beam else None
-        of_moved = None if moved is None else formula_images(scorer.tissues, moved.pairs, spec, moved.before)
+        beam_images = formula_images(scorer.tissues, pairs, spec, space=Space.beam) if in_beam else None
+        moved_images = None if moved is None else formula_images(scorer.tissues, moved.pairs, spec, moved.before)
         recipe = {"space": spec.space, "maps": formula_maps(spec), "version": FORMULA_VERSION}
-        found.append(Baseline(FORMULA, images, of_moved, of_beam, recipe))
+        found.append(Baseline(FORMULA, images, moved_images, beam_images, recipe))
     return tuple(found)
 
 
@@ -144,12 +146,12 @@ def baseline_scores(scorer: Scorer, baseline: Baseline, part: Part) -> Scores:
     """
     scorer = replace(scorer, settings=replace(scorer.settings, noise_draws=_DRAWS))
     package = {name: metric for name, metric in scorer.metrics.items() if name in METRICS}
-    of_user = {name: metric for name, metric in scorer.metrics.items() if name not in METRICS}
-    of_metrics = _kept_scores(replace(scorer, metrics=package), baseline, part)
-    if of_user:
-        scored = _score(replace(scorer, metrics=of_user), baseline, part)
-        of_metrics |= {name: scored.of_metric(name) for name in of_user}
-    return joined([of_metrics[name] for name in scorer.metrics])
+    user_metrics = {name: metric for name, metric in scorer.metrics.items() if name not in METRICS}
+    scores = _kept_scores(replace(scorer, metrics=package), baseline, part)
+    if user_metrics:
+        scored = _score(replace(scorer, metrics=user_metrics), baseline, part)
+        scores |= {name: scored.of_metric(name) for name in user_metrics}
+    return joined([scores[name] for name in scorer.metrics])
 
 
 def _score(scorer: Scorer, baseline: Baseline, part: Part) -> Scores:
@@ -169,14 +171,14 @@ def _kept_scores(scorer: Scorer, baseline: Baseline, part: Part) -> dict[str, Sc
     files = {name: folder / _file_name(scorer, baseline, part, metric) for name, metric in scorer.metrics.items()}
     with held(folder / f"{baseline.name}-{part.name}.lock", f"scores {baseline.name} on the {part.name} frames"):
         kept = {name: _read_kept(file) for name, file in files.items()}
-        of_metrics = {name: scores for name, scores in kept.items() if scores is not None}
-        lacking = {name: metric for name, metric in scorer.metrics.items() if name not in of_metrics}
+        found = {name: scores for name, scores in kept.items() if scores is not None}
+        lacking = {name: metric for name, metric in scorer.metrics.items() if name not in found}
         if lacking:
             scored = _score(replace(scorer, metrics=lacking), baseline, part)
             for name in lacking:
-                of_metrics[name] = scored.of_metric(name)
-                _write_kept(files[name], of_metrics[name])
-    return of_metrics
+                found[name] = scored.of_metric(name)
+                _write_kept(files[name], found[name])
+    return found
 
 
 def _file_name(scorer: Scorer, baseline: Baseline, part: Part, metric: Metric) -> str:

@@ -48,10 +48,10 @@ def motion_values(
             motion = moved.motions[number]
             tissue = np.isin(pairs.stored("segmentation", int(number)), soft) & mask
             seen.append(MovedPair(before, after, mask, tissue, *places[motion], in_plane=motion is not Motion.lift))
-        of_frame = {
+        frame_values = {
             metric.name: metric.of_motion([apart(pair) for pair in seen] if is_own(metric) else seen)
             for metric in asked
             if metric.of_motion is not None
         }
-        values[int(frame)] = {name: float(value) for name, value in of_frame.items() if value is not None}
+        values[int(frame)] = {name: float(value) for name, value in frame_values.items() if value is not None}
     return values

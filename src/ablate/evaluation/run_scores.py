@@ -63,9 +63,9 @@ def score_run(
             scalars |= {f"{prefix}{SCALAR_PREFIXES[source]}{name}": value for name, value in scores.scalars.items()}
         missing[part] = scored[MODEL].missing
         unrepeated |= scored[MODEL].unrepeated
-    of_run = _of_both_parts(missing[Part.validation], missing[Part.test])
+    both_parts = _of_both_parts(missing[Part.validation], missing[Part.test])
     about_output = (*_clipped(clipping), *_unrepeated(int(frame[0]), once, images_of(frame, 0)))
-    return Scores(pd.concat(tables, ignore_index=True), scalars, of_run, unrepeated, about_output)
+    return Scores(pd.concat(tables, ignore_index=True), scalars, both_parts, unrepeated, about_output)
 
 
 def _of_both_parts(validation: dict[str, str], test: dict[str, str]) -> dict[str, str]:

@@ -143,16 +143,16 @@ class Scorer:
         sites = self.pairs.sites[frames]
         values = [values for batch in batches for values in batch.values]
         if self.moved is not None and moved_images is not None and part is Part.test:
-            of_motion = motion_values(computed, self.moved, self.tissues, images_of, moved_images)
-            values = [of_frame | of_motion.get(int(k), {}) for k, of_frame in zip(frames, values, strict=True)]
-        per_image = values_table(part, frames, sites, [self._in_order(of_frame) for of_frame in values])
+            motion = motion_values(computed, self.moved, self.tissues, images_of, moved_images)
+            values = [frame_values | motion.get(int(k), {}) for k, frame_values in zip(frames, values, strict=True)]
+        per_image = values_table(part, frames, sites, [self._in_order(frame_values) for frame_values in values])
         scalars = means(per_image)
         for kind in (FeatureKind.speckle, FeatureKind.inception):
-            of_kind = [metric for metric in computed if metric.uses(kind)]
-            if of_kind:
-                scalars |= _distances(of_kind, [batch.features[kind] for batch in batches], sites)
-        of_frames = [metric for metric in computed if not metric.of_motion or part is Part.test]
-        return Scores(per_image, scalars, missing | without_values(of_frames, per_image), unrepeated)
+            distances = [metric for metric in computed if metric.uses(kind)]
+            if distances:
+                scalars |= _distances(distances, [batch.features[kind] for batch in batches], sites)
+        expected = [metric for metric in computed if not metric.of_motion or part is Part.test]
+        return Scores(per_image, scalars, missing | without_values(expected, per_image), unrepeated)
 
     def _unrepeated(self, frames: np.ndarray, drawn: np.ndarray, values: list[dict[str, float]]) -> dict[str, str]:
         """Of each metric of the user's that gives other values of the first frames when all are scored, both values."""
@@ -202,27 +202,29 @@ class Scorer:
         try:
             values = evaluate_image(pair, [metric for metric in self.metrics.values() if not metric.of_draws])
             if len(draws) > 1:
-                of_draws = [metric for metric in self.metrics.values() if metric.of_draws]
-                values |= evaluate_image(replace(pair, draws=draws), of_draws)
+                draw_metrics = [metric for metric in self.metrics.values() if metric.of_draws]
+                values |= evaluate_image(replace(pair, draws=draws), draw_metrics)
         except Exception as error:
             error.add_note(f"of frame {frame}")
             raise
         if not with_texture:
             return values, (np.empty(0), np.empty(0))
-        of_image, of_target = (speckle_features(shown[None], self._mask) for shown in (pair.prediction, pair.target))
-        return values, (of_image, of_target)
+        image_features, target_features = (
+            speckle_features(shown[None], self._mask) for shown in (pair.prediction, pair.target)
+        )
+        return values, (image_features, target_features)
 
     def _score_on_grid(self, frames: np.ndarray, images: np.ndarray, values: list[dict[str, float]]) -> None:
         """Replace the values of metrics of the network's grid by those in beam space."""
         metrics = [metric for metric in self.metrics.values() if metric.pixels is Pixels.network]
         mask = self.pairs.mask(Space.beam)
-        for frame, image, of_frame in zip(frames, images, values, strict=True):
+        for frame, image, frame_values in zip(frames, images, values, strict=True):
             labels = self.pairs.stored("segmentation", int(frame), Space.beam)
             target = self.pairs.stored("target", int(frame), Space.beam)
             pair = Pair(image, target, mask, np.isin(labels, tissue_labels(self.tissues)), segmentation=labels)
             for metric in metrics:
-                of_frame.pop(metric.name, None)
-            of_frame |= evaluate_image(pair, metrics)
+                frame_values.pop(metric.name, None)
+            frame_values |= evaluate_image(pair, metrics)
 
     def _in_order(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values of a frame in the order of the metrics."""

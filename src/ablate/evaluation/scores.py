@@ -108,8 +108,8 @@ def _frame_by_frame(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Tables of metrics one below the other, and the rows of a frame, of one source and part, together."""
     with_rows = [table for table in tables if len(table)] or tables[:1]
     table = pd.concat(with_rows, ignore_index=True)
-    of_run = [column for column in ("source", "split") if column in table]
-    keys = [table["frame"].to_numpy(), *(pd.factorize(table[column])[0] for column in of_run)]
+    run_columns = [column for column in ("source", "split") if column in table]
+    keys = [table["frame"].to_numpy(), *(pd.factorize(table[column])[0] for column in run_columns)]
     return table.iloc[np.lexsort(keys)].reset_index(drop=True)  # the last key leads; equal rows stay in order
 
 
@@ -130,8 +130,8 @@ def not_computed(
         None where no weights were given.
     """
     reasons: dict[FeatureKind, str] = {}
-    of_texture = " and ".join(metric.name for metric in METRICS.values() if metric.uses(FeatureKind.speckle))
-    instead = f"; {of_texture} are these distances of a texture descriptor, not of Inception's features"
+    texture_metrics = " and ".join(metric.name for metric in METRICS.values() if metric.uses(FeatureKind.speckle))
+    instead = f"; {texture_metrics} are these distances of a texture descriptor, not of Inception's features"
     if min(mask.shape) < CENTRE:
         size = f"{mask.shape[0]} x {mask.shape[1]} px"
         too_small = f"frames of {size} are smaller than the {CENTRE} px centre that they are made of"

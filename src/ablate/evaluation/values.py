@@ -24,15 +24,15 @@ def values_table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list
     """
     rows = [
         (int(frame), int(site), name, value)
-        for frame, site, of_frame in zip(frames, sites, values, strict=True)
-        for name, value in of_frame.items()
+        for frame, site, frame_values in zip(frames, sites, values, strict=True)
+        for name, value in frame_values.items()
     ]
     table = pd.DataFrame(rows, columns=list(SCORE_COLUMNS)).astype({"value": "float64"})
     infinite = np.isinf(table["value"]) & ~table["metric"].isin(METRICS)  # PSNR of identical images is, by definition
     without = table[table["value"].isna() | infinite]
-    for (name, value), of_value in without.groupby(["metric", "value"], dropna=False):
+    for (name, value), same_value in without.groupby(["metric", "value"], dropna=False):
         word = "NaN" if np.isnan(value) else "infinite"
-        named = ", ".join(of_value["frame"].astype(str))
+        named = ", ".join(same_value["frame"].astype(str))
         logging.getLogger(__name__).warning("%s is %s on %s frame %s: not in its mean", name, word, part.name, named)
     return table
 
@@ -40,7 +40,7 @@ def values_table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list
 def means(per_image: pd.DataFrame) -> dict[str, float]:
     """The mean of each metric over its finite values."""
     finite = per_image[np.isfinite(per_image["value"])]
-    return {str(name): _mean(of_metric.tolist()) for name, of_metric in finite.groupby("metric")["value"]}
+    return {str(name): _mean(values.tolist()) for name, values in finite.groupby("metric")["value"]}
 
 
 def _mean(values: list[float]) -> float:

@@ -197,11 +197,11 @@ def bootstrap_interval(
     count = int(group_of_row.max()) + 1
     if count < 2:
         return -math.inf, math.inf
-    of_draw = _of_draw(distance, X, Y, group_of_row)
+    distance_of_draw = _of_draw(distance, X, Y, group_of_row)
     rng = np.random.default_rng(0)
-    draws = [of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]
+    draws = [distance_of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]
     tail = (1.0 - 0.95) / 2.0
-    estimate = of_draw(np.ones(count, int))
+    estimate = distance_of_draw(np.ones(count, int))
     lower, upper = np.quantile(draws, [tail, 1.0 - tail]) - np.mean(draws) + estimate
     return float(lower), float(upper)
 

@@ -52,8 +52,8 @@ def shown_in(place: Shown) -> list[str]:
 
     A metric of the user, who named it, is always on the screen and in the report.
     """
-    of_user = [metric.name for metric in _OWN.values() if (metric.shown | Shown.screen | Shown.report) & place]
-    return [*(metric.name for metric in METRICS.values() if metric.shown & place), *of_user]
+    user_metrics = [metric.name for metric in _OWN.values() if (metric.shown | Shown.screen | Shown.report) & place]
+    return [*(metric.name for metric in METRICS.values() if metric.shown & place), *user_metrics]
 
 
 def is_own(metric: Metric) -> bool:

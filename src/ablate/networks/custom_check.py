@@ -211,5 +211,5 @@ def _alike(a: Any, b: Any) -> bool:
         return len(a) == len(b) and all(map(_alike, a, b))
     if isinstance(a, Tensor) and isinstance(b, Tensor):
         return a.shape == b.shape and torch.equal(a.cpu(), b.cpu())
-    of_value = isinstance(a, bool | int | float | str | Tensor | np.ndarray | np.generic) or a is None
-    return not of_value or np.array_equal(a, b)
+    is_value = isinstance(a, bool | int | float | str | Tensor | np.ndarray | np.generic) or a is None
+    return not is_value or np.array_equal(a, b)

@@ -37,10 +37,10 @@ def trained_with(trained: MadeWith, here: MadeWith, space: Space) -> str:
         `trained with dynamic_range_db=60.0 (here 40.0), pixels of ...`: each setting and its two values.
     """
     unlike: list[tuple[str, object, object]] = []
-    for of_training, of_frame in zip(_looks(*trained), _looks(*here), strict=True):
-        for key in [one for one in of_training if one in of_frame]:
-            if of_training[key] != of_frame[key]:
-                unlike.append((f"{key}=", of_training[key], of_frame[key]))
+    for trained_look, frame_look in zip(_looks(*trained), _looks(*here), strict=True):
+        for key in [one for one in trained_look if one in frame_look]:
+            if trained_look[key] != frame_look[key]:
+                unlike.append((f"{key}=", trained_look[key], frame_look[key]))
     for name, theirs, ours in zip(PulseWidths._fields, pulse_widths(*trained), pulse_widths(*here), strict=True):
         if not np.isclose(theirs, ours, rtol=_ALIKE, atol=0):
             unlike.append((f"pulse {name}=", f"{theirs:.3g}", f"{ours:.3g}"))

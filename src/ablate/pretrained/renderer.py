@@ -125,8 +125,8 @@ class Renderer:
             trained_on = ", ".join(name for name in self.values if name != OUTSIDE)
             raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {trained_on}")
         values = np.asarray([self.values[OUTSIDE], *(self.values[tissue.name] for tissue in tissues)], np.float32)
-        of_properties = dataset.label_values(tissues, dataset.Encoding.properties)
-        for tissue, expected, trained in zip(tissues, of_properties[1:], values[1:], strict=True):
+        property_values = dataset.label_values(tissues, dataset.Encoding.properties)
+        for tissue, expected, trained in zip(tissues, property_values[1:], values[1:], strict=True):
             if expected.shape == trained.shape and not np.allclose(expected, trained, atol=1e-4):
                 raise ValueError(f"tissue {tissue.name!r}: its properties are not those of the training")
         return values
@@ -178,7 +178,7 @@ def _renderer_of(content: Mapping[str, Any]) -> Renderer:
     generator = stored_generator(GeneratorSpec(**content["spec"]), content["labels"], content["weights"])
     return Renderer(
         generator=generator.eval(),
-        values={name: tuple(map(float, of_tissue)) for name, of_tissue in content["values"].items()},
+        values={name: tuple(map(float, numbers)) for name, numbers in content["values"].items()},
         probe=probe_from(content["probe"]),
         # a setting that is no more, as files of earlier versions have, says nothing of frames made here
         simulator=SimulatorSettings(**{k: v for k, v in content["simulator"].items() if k in _SIMULATOR}),

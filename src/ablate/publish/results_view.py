@@ -138,8 +138,8 @@ def _publish_examples(store: Store, run_id: str, training: Training) -> None:
 def _smaller_copy(store: Store, run_id: str) -> str:
     """The name of the file of the examples that MLflow's charts show, or nothing; MLflow decides it."""
     names = [Path(file.path).name for file in store.client.list_artifacts(run_id, "images")]
-    of_examples = (n for n in names if n.startswith(EXAMPLES.replace("/", "~")) and n.endswith("compressed.webp"))
-    return next(of_examples, "")
+    examples = (n for n in names if n.startswith(EXAMPLES.replace("/", "~")) and n.endswith("compressed.webp"))
+    return next(examples, "")
 
 
 def _headed(frame: np.ndarray, head: str) -> np.ndarray:

@@ -72,8 +72,8 @@ def share_charts(store: Store, study: Study, run_ids: Sequence[str]) -> str:
     sections[0] |= {"columns": 1, "cardHeight": 100 + 430 * math.ceil(min(len(run_ids), MOST_SHOWN) / _IMAGES_A_ROW)}
     cards = [
         {"uuid": f"{name} {k}", "metricSectionId": name, "runsCountToCompare": MOST_SHOWN, "deleted": False, **card}
-        for name, of_section in charts.items()
-        for k, card in enumerate(of_section)
+        for name, section in charts.items()
+        for k, card in enumerate(section)
     ]
     among = ", ".join(f"'{run_id}'" for run_id in run_ids[:MOST_SHOWN])
     state = {

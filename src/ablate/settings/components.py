@@ -90,25 +90,25 @@ def _shown(path: Path) -> str:
 @lru_cache(maxsize=8)
 def _declared(registered: tuple[str, bytes], *files: tuple[str, str, bytes]) -> tuple[Component, ...]:
     """The components that files declare, each by its name, its file for messages and its content."""
-    of_study = registered[0]
-    with naming(f"{of_study}: ", (ValueError, yaml.YAMLError)):
+    file = registered[0]
+    with naming(f"{file}: ", (ValueError, yaml.YAMLError)):
         changes = _values(registered[1], "by component, what was registered")
     if unknown := sorted(changes.keys() - {name for name, *_ in files}):
-        raise ValueError(f"{of_study}: {unknown[0]} is no file of conf/component")
-    made: dict[str, Component] = {}
+        raise ValueError(f"{file}: {unknown[0]} is no file of conf/component")
+    by_file: dict[str, Component] = {}
     for name, where, content in files:
         change = changes.get(name, {})
         if change is None:
             continue
         if not isinstance(change, dict):
-            raise ValueError(f"{of_study}: {name}={shown(change)}: allowed are null and values as in conf/component")
-        with naming(f"{of_study}: {name}: " if change else f"{where}: ", (ValueError, TypeError, yaml.YAMLError)):
+            raise ValueError(f"{file}: {name}={shown(change)}: allowed are null and values as in conf/component")
+        with naming(f"{file}: {name}: " if change else f"{where}: ", (ValueError, TypeError, yaml.YAMLError)):
             component = _component(name, _values(content, "key, on and off") | _named_levels(change))
-            if twins := [file for file, other in made.items() if _compare_the_same(other, component)]:
+            if twins := [other_file for other_file, other in by_file.items() if _compare_the_same(other, component)]:
                 allowed = "allowed is one file for two levels of a key, and one of yours takes the place of its name"
                 raise ValueError(f"key={component.key} is declared by {twins[0]} with the same levels; {allowed}")
-        made[where] = component
-    return tuple(made.values())
+        by_file[where] = component
+    return tuple(by_file.values())
 
 
 def _values(content: bytes, needed: str) -> dict[str, Any]:
@@ -167,8 +167,8 @@ def components_of_networks() -> dict[str, Component]:
 
     Of several on one field it is the first, which switches it off.
     """
-    of_model = [c for c in components() if c.key.startswith("model.") and not c.key.startswith(OF_OWN_NETWORK)]
-    return {c.key.removeprefix("model."): c for c in reversed(of_model)}
+    declared = [c for c in components() if c.key.startswith("model.") and not c.key.startswith(OF_OWN_NETWORK)]
+    return {c.key.removeprefix("model."): c for c in reversed(declared)}
 
 
 def named_components(spec: GeneratorSpec) -> dict[str, object]:

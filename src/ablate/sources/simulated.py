@@ -39,13 +39,13 @@ def identity_of(settings: StudySettings, scene: Mapping[str, object]) -> dict[st
     if settings.simulator.compound_angles == 1:  # nothing is steered
         del simulator["compound_angles"], simulator["compound_steer_deg"]
     target = settings.scene.target
-    of_target = {} if target is None else {"target": {"path": target, "source": code_digest(target)}}
+    target_identity = {} if target is None else {"target": {"path": target, "source": code_digest(target)}}
     return {
         "scene": dict(scene),
         "probe": plain(settings.probe),
         "simulator": simulator,
         "simulator_version": SIMULATOR_VERSION,
-        **of_target,
+        **target_identity,
         "dataset": chosen,
         **PAIRS_RECIPE,
     }

@@ -59,13 +59,13 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
     """
     aside = {"not finished": list(asked.unfinished)}
     once, aside["left aside, as a run before has the same training or the same name"] = _counted_once(asked.runs)
-    alike, of_definitions = _of_same_definitions(once)
+    alike, definition_notes = _of_same_definitions(once)
     runs, other_pixels = _of_same_pixels(alike)
     aside["left aside, scored on other pixels of the same recipe: processors round otherwise"] = other_pixels
     blocks: list[Run] = []
     if runs:
-        of_reference = [run for run in runs if run.label == asked.reference]
-        chosen = Counter(run.data for run in of_reference or runs).most_common(1)[0][0]
+        reference_runs = [run for run in runs if run.label == asked.reference]
+        chosen = Counter(run.data for run in reference_runs or runs).most_common(1)[0][0]
         elsewhere = [run for run in runs if run.data != chosen]
         varied = {identity_key(key) for key in factors_of(runs)} | {_ANATOMY}
         runs = [run for run in runs if run.data == chosen]
@@ -83,7 +83,7 @@ def comparable_runs(asked: RunList) -> ComparableRuns:
         if names
     ]
     used = [*runs, *blocks]
-    notes += [*of_definitions, *untold_differences(runs, asked.reference), *_counted_twice(used), *_versions(used)]
+    notes += [*definition_notes, *untold_differences(runs, asked.reference), *_counted_twice(used), *_versions(used)]
     return ComparableRuns(tuple(runs), tuple(blocks), tuple(notes))
 
 
@@ -187,8 +187,10 @@ def _versions(runs: Sequence[Run]) -> list[str]:
     for what, version in _VERSIONS.values():
         versions = [one for name, one in found if name == what]
         if set(versions) - {version}:
-            of_runs = " and ".join(map(str, versions))
-            notes.append(f"These results are of version {of_runs} of the {what}; this program has version {version}.")
+            run_versions = " and ".join(map(str, versions))
+            notes.append(
+                f"These results are of version {run_versions} of the {what}; this program has version {version}."
+            )
     return notes
 
 

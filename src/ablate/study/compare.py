@@ -167,8 +167,8 @@ def write_comparison(study: Study, title: str) -> list[str]:
         provenance=provenance(usable.all),
     )
     analysis.wide_table(results.table).to_csv(partial / "table.csv", index=False)
-    of_the_paper = results.table[results.table["metric"].isin(shown_in(Shown.table))]
-    (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, results.reference), "utf-8")
+    paper_rows = results.table[results.table["metric"].isin(shown_in(Shown.table))]
+    (partial / "table.tex").write_text(analysis.to_latex(paper_rows, results.reference), "utf-8")
     tables = {
         "paired": results.paired,
         "claims": results.claims,
@@ -209,9 +209,9 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
         notes = list(runs[0].training.data_set.about["left_out"])
     except (OSError, ValueError, KeyError):
         notes = []  # the pairs have been deleted
-    of_runs = [(str(note), run.name) for run in runs for note in run.notes]
-    for note in dict.fromkeys(note for note, _ in of_runs):
-        names = [name for other, name in of_runs if other == note]
+    run_notes = [(str(note), run.name) for run in runs for note in run.notes]
+    for note in dict.fromkeys(note for note, _ in run_notes):
+        names = [name for other, name in run_notes if other == note]
         notes.append(note if len(names) == len(runs) else f"{listed(names)}: {note}")
     scored = {name.partition("@")[0] for run in runs for name in run.score_names}
     unscored = [m.name for m in METRICS.values() if m.uses(FeatureKind.inception) and m.name not in scored]

@@ -59,8 +59,8 @@ def formula_of(runs: Sequence[Run], reference: str) -> tuple[str, Run] | None:
     It is the first run of the reference, or of all where it has none.
     """
     simulated = [run for run in runs if run.identity["data"].get("simulator")]
-    of_reference = [run for run in simulated if run.label.partition(".")[0] == reference]
-    first = next(iter(of_reference or simulated), None)
+    reference_runs = [run for run in simulated if run.label.partition(".")[0] == reference]
+    first = next(iter(reference_runs or simulated), None)
     if first is None:
         return None
     maps = formula_maps(first.training.settings.model)
@@ -183,16 +183,18 @@ def _in_turns(runs: Mapping[str, Run], formula: tuple[str, Run] | None, device: 
     those beside it. Then it renders with each network; the next round takes them in the opposite order. The frames are
     those of the last anatomy whose pairs are here, of each kind of pairs.
     """
-    of_kind: dict[str, Run] = {}
+    run_of_kind: dict[str, Run] = {}
     for run in sorted(runs.values(), key=lambda run: run.training.data_set.exists):
-        of_kind[_kind_of(run)] = run  # the last counts
-    networks = {name: _prepared(run, of_kind[_kind_of(run)].training.data_set, device) for name, run in runs.items()}
+        run_of_kind[_kind_of(run)] = run  # the last counts
+    networks = {
+        name: _prepared(run, run_of_kind[_kind_of(run)].training.data_set, device) for name, run in runs.items()
+    }
     if formula is not None:
         name, run = formula
-        networks[name] = _prepared_formula(run, of_kind[_kind_of(run)].training.data_set)
+        networks[name] = _prepared_formula(run, run_of_kind[_kind_of(run)].training.data_set)
     asked = next(iter(runs.values())).training.settings.evaluation.timed_frames
     rounds = max(asked, _FEWEST_ROUNDS)
-    maps = _MapsOfRounds(of_kind, rounds, [network.read for network in networks.values()])
+    maps = _MapsOfRounds(run_of_kind, rounds, [network.read for network in networks.values()])
 
     def render(name: str, number: int) -> None:
         network = networks[name]
@@ -201,11 +203,11 @@ def _in_turns(runs: Mapping[str, Run], formula: tuple[str, Run] | None, device: 
         network.render(np.array([frame]), number, given)  # waits for a GPU
 
     calls = {name: partial(render, name) for name in networks}
-    of_networks = time_in_turns(calls, rounds, before=lambda _, number: maps.make(number), what="time")
+    network_times = time_in_turns(calls, rounds, before=lambda _, number: maps.make(number), what="time")
     rows = []
-    for name, number, ms in of_networks.itertuples(index=False):
-        of_maps = maps.ms[number, networks[name].read]
-        rows += [(name, number, part, part_ms) for part, part_ms in {**of_maps, NETWORK: ms}.items()]
+    for name, number, ms in network_times.itertuples(index=False):
+        maps_ms = maps.ms[number, networks[name].read]
+        rows += [(name, number, part, part_ms) for part, part_ms in {**maps_ms, NETWORK: ms}.items()]
     return pd.DataFrame(rows, columns=["network", "round", "part", "ms"])
 
 

@@ -30,15 +30,16 @@ def scored_frames(runs: Sequence[Run], reference: str = REFERENCE) -> tuple[pd.D
     tellers = {source: _tellers(runs, source, reference) for source in BASELINES}
     for run in runs:
         table = run.scores[run.scores["split"] == "test"].assign(data=run.data)
-        told = {MODEL: run.label, **{source: name for source, name in BASELINES.items() if run in tellers[source]}}
-        frames += [table[table["source"] == source].assign(variant=name) for source, name in told.items()]
-        of_frames = set(table["metric"])
-        for source, name in told.items():
-            own = {"variant": name, "seed": run.seed, "data": run.data}
-            scalars += [{**own, **row} for row in _rows_of_scalars(run.scalars, SCALAR_PREFIXES[source], of_frames)]
+        named = {MODEL: run.label, **{source: name for source, name in BASELINES.items() if run in tellers[source]}}
+        frames += [table[table["source"] == source].assign(variant=name) for source, name in named.items()]
+        frame_metrics = set(table["metric"])
+        for source, name in named.items():
+            keys = {"variant": name, "seed": run.seed, "data": run.data}
+            values = _rows_of_scalars(run.scalars, SCALAR_PREFIXES[source], frame_metrics)
+            scalars += [{**keys, **row} for row in values]
         parameters = run.scalars["parameters_generator"] + run.scalars["parameters_discriminator"]
-        of_run = {"variant": run.label, "seed": run.seed, "data": run.data}
-        scalars.append({**of_run, "metric": "parameters", "value": parameters})
+        run_columns = {"variant": run.label, "seed": run.seed, "data": run.data}
+        scalars.append({**run_columns, "metric": "parameters", "value": parameters})
     table, times = pd.DataFrame(scalars), frame_times(runs, reference)
     filled = [part for part in frames if len(part)]
     return (
@@ -161,13 +162,15 @@ def results_of(usable: ComparableRuns, reference: str = REFERENCE, study: str = 
 
 def _levels_in(levels: Mapping[str, Mapping[str, object]], factor: str) -> list[object]:
     """The levels that the networks have of a factor, each once; those that have none are left out."""
-    of_networks = [own[factor] for own in levels.values() if factor in own and not _lacks(own, factor)]
-    return list({repr(level): level for level in of_networks}.values())
+    network_levels = [
+        network[factor] for network in levels.values() if factor in network and not _lacks(network, factor)
+    ]
+    return list({repr(level): level for level in network_levels}.values())
 
 
-def _lacks(own: Mapping[str, object], factor: str) -> bool:
+def _lacks(network: Mapping[str, object], factor: str) -> bool:
     """Whether a network is one of the user's that does not have a component, whatever its settings say."""
-    return own.get("model.family") == Family.custom and factor in NOT_OF_CUSTOM
+    return network.get("model.family") == Family.custom and factor in NOT_OF_CUSTOM
 
 
 def table_of_runs(runs: Sequence[Run]) -> pd.DataFrame:

@@ -189,7 +189,7 @@ def _scored(
     settings: StudySettings, data: DataSet, generator: Generator, values: np.ndarray, asked: Sequence[ScoreKey]
 ) -> Scores:
     """Compute scores of a generator on the frames of a data set, and on those after motions."""
-    of_asked = scorer(replace(settings, metrics=[key.asked for key in asked]), data)
+    asked_scorer = scorer(replace(settings, metrics=[key.asked for key in asked]), data)
     precision = settings.training.precision
     render = generated_images(generator, data.pairs, values, precision)
     render_moved = None
@@ -199,12 +199,12 @@ def _scored(
     if settings.model.space is Space.beam:
         render_beam = generated_images(generator, data.pairs, values, precision, shown_in=Space.beam)
     return score_run(
-        of_asked,
+        asked_scorer,
         render,
         draws_noise(settings.model),
         moved_images=render_moved,
         beam_images=render_beam,
-        beside=baselines(of_asked, settings.model),
+        beside=baselines(asked_scorer, settings.model),
     )
 
 
@@ -221,12 +221,12 @@ def _validation(settings: StudySettings, data: DataSet, values: np.ndarray, log:
     """A function that scores a few validation frames and logs them as images: the curves of a training."""
     frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
     targets = data.pairs.read("target", frames)
-    of_curves = scorer(replace(settings, metrics=_CURVES), data)
+    curve_scorer = scorer(replace(settings, metrics=_CURVES), data)
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
         render = generated_images(generator, data.pairs, values, settings.training.precision)
         log_samples(log, frames, render(frames, 0), targets, images_seen)
-        scalars = of_curves.score(Part.validation, render, draws_noise(settings.model), frames).scalars
+        scalars = curve_scorer.score(Part.validation, render, draws_noise(settings.model), frames).scalars
         return {f"val/{name}_curve": scalars[name] for name in _CURVES if name in scalars}
 
     return validate

@@ -204,10 +204,10 @@ def _check_read(module: PairGAN, network: CustomNetwork, checkpoint: Mapping[str
     """Check that another process can read a checkpoint of a network of the user's, and renders as this one with it."""
     state = read_back(checkpoint["state_dict"], f"target={module.spec.target}")
     prefix = f"{'generator' if module.average is None else 'average'}.network."
-    of_network = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
+    weights = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
     average = None if module.average is None else list(module.average.parameters())
     side = module.settings.crop or SMALLEST_CROP
-    check_saved(network, module.spec, module.labels, side, of_network, average)
+    check_saved(network, module.spec, module.labels, side, weights, average)
 
 
 def resume(module: PairGAN, path: Path) -> None:

@@ -122,12 +122,12 @@ def echoes_of(chain: SignalChain, prepared: Prepared, pose: np.ndarray, seed: in
     weight = np.maximum(layer_weights(probe, settings)[0], _LEAST).astype(np.float32)
     lossless = speckle.insonify(prepared.lines, np.zeros_like(returned.level_db), seed)
     received = speckle.insonify(prepared.lines, returned.level_db, seed)
-    of_tissue = lossless._replace(amplitude=lossless.amplitude / weight[:, None])
-    starts, directions, anchor, *of_samples = of_tissue
-    strength = np.empty(of_tissue.amplitude.shape, np.complex64)
+    unattenuated = lossless._replace(amplitude=lossless.amplitude / weight[:, None])
+    starts, directions, anchor, *sample_values = unattenuated
+    strength = np.empty(unattenuated.amplitude.shape, np.complex64)
     for layer in range(settings.layers):
         only = slice(layer, layer + 1)
-        one = Samples(starts[only], directions[only], anchor, *(values[only] for values in of_samples))
+        one = Samples(starts[only], directions[only], anchor, *(values[only] for values in sample_values))
         strength[layer].real, strength[layer].imag = speckle(one, seed)
     line_starts, along = fan_of(probe).lines(scanline_positions(probe, settings.scanlines))
     places = line_starts + sample_depths_mm(probe, settings.axial_samples)[:, None, None] * along

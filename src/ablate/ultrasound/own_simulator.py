@@ -103,9 +103,9 @@ class OwnSimulator(Simulator):
 
 def _fault_of(returned: object, settings: SimulatorSettings) -> str:
     """What is wrong with what a function returns, and what is allowed; empty where nothing is."""
-    of_lines = isinstance(returned, Rf | Iq)
+    is_lines = isinstance(returned, Rf | Iq)
     values = returned.lines if isinstance(returned, Rf | Iq) else returned
-    name = f"{type(returned).__name__} of " if of_lines else ""
+    name = f"{type(returned).__name__} of " if is_lines else ""
     rows, scanlines = settings.beam_shape
     if not isinstance(values, np.ndarray):
         grey = f"grey levels, a NumPy array of {rows} x {scanlines}"
@@ -116,13 +116,13 @@ def _fault_of(returned: object, settings: SimulatorSettings) -> str:
         allowed = {"f": "real numbers", "c": "complex numbers"}.get(kinds, "uint8, or other real numbers from 0 to 255")
         hint = "; complex lines are ablate.ultrasound.Iq(lines)" if name == "" and values.dtype.kind == "c" else ""
         return f"{name}{values.dtype}; allowed are {allowed}{hint}"
-    if of_lines and (values.ndim != 2 or values.shape[1] != scanlines or len(values) < 2):
+    if is_lines and (values.ndim != 2 or values.shape[1] != scanlines or len(values) < 2):
         return f"{name}{shape} values; allowed are lines of any number of samples, (n, {scanlines})"
-    if not of_lines and values.shape != (rows, scanlines):
+    if not is_lines and values.shape != (rows, scanlines):
         return f"grey levels of {shape}; allowed are {rows} x {scanlines}, rows x scanlines"
     if not np.isfinite(values).all():
         return f"{name}{(~np.isfinite(values)).sum()} of {values.size} values that are NaN or infinite"
-    if not of_lines and (values.min() < 0 or values.max() > 255):
+    if not is_lines and (values.min() < 0 or values.max() > 255):
         return f"grey levels from {values.min():g} to {values.max():g}; allowed are 0 to 255"
     return ""
 

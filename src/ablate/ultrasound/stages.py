@@ -74,11 +74,11 @@ def stage_times() -> Iterator[dict[str, list[float]]]:
     A stage within another on one thread, as the aperture within the maps of surfaces, counts for itself alone.
     """
     taken: dict[str, list[float]] = defaultdict(list)
-    of_thread = threading.local()
+    thread_times = threading.local()
 
     def timed(which: Stage, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
         # milliseconds of the stages that ran within each one that runs
-        within: list[float] = of_thread.__dict__.setdefault("within", [0.0])
+        within: list[float] = thread_times.__dict__.setdefault("within", [0.0])
         _wait_for_gpu()
         start = time.perf_counter()
         within.append(0.0)

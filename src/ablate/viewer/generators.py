@@ -137,8 +137,8 @@ def _frames_of(run: Training) -> tuple[Probe, SimulatorSettings]:
 
 
 def _not_trained_on(renderer: Renderer, trained_on: Sequence[Tissue], tissues: Sequence[Tissue]) -> str:
-    of_training = {tissue.name: tissue for tissue in trained_on if tissue.name in renderer.values}
-    others = [tissue.name.replace("_", " ") for tissue in tissues if of_training.get(tissue.name) != tissue]
+    known = {tissue.name: tissue for tissue in trained_on if tissue.name in renderer.values}
+    others = [tissue.name.replace("_", " ") for tissue in tissues if known.get(tissue.name) != tissue]
     return f"not trained on {', '.join(others)}" if others else ""
 
 
@@ -147,6 +147,6 @@ def _values(renderer: Renderer, tissues: Sequence[Tissue], scene_values: np.ndar
     width = len(renderer.values[OUTSIDE])
     if scene_values.shape[1] != width:  # the encodings of both scenes have another number of channels
         scene_values = np.zeros((len(scene_values), width))
-    of_scene = zip(tissues, scene_values[1:].tolist(), strict=True)
-    values = [renderer.values.get(tissue.name, value) for tissue, value in of_scene]
+    scene_tissues = zip(tissues, scene_values[1:].tolist(), strict=True)
+    values = [renderer.values.get(tissue.name, value) for tissue, value in scene_tissues]
     return np.array([renderer.values[OUTSIDE], *values], np.float32)

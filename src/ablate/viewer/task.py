@@ -68,11 +68,11 @@ class Viewer:
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
         poses = presets(settings, scene, grid, hand)
         runs = runs_folder(settings)
-        of_gain = np.array(list(poses.values()))
+        gain_poses = np.array(list(poses.values()))
         if settings.simulator.tgc is TimeGain.patient:
-            of_gain = training_poses(settings, scene, grid, of_gain)
+            gain_poses = training_poses(settings, scene, grid, gain_poses)
         custom = settings.model.target
-        self.worker = Worker(SceneRenderer(scene, of_gain, custom).render)
+        self.worker = Worker(SceneRenderer(scene, gain_poses, custom).render)
         start = ViewerState(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
         start = replace(start, runs=first_fitting(pickable(runs), scene.tissues, start, custom))
         self.session = Session(hand, start, poses, self.worker.submit)

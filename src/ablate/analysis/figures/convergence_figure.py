@@ -46,10 +46,10 @@ def convergence_figure(points: pd.DataFrame, stem: Path, hardware: str = "") -> 
 
 def _draw_panel(axes: Axes, points: pd.DataFrame, metric: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     for name, (colour, marker, line) in SERIES.items():
-        of_series = points[points["series"] == name]
+        chosen = points[points["series"] == name]
         style: dict[str, Any] = {"color": colour, "marker": marker, "ls": line, "ms": 4, "lw": 0.8}
-        if len(of_series):
-            axes.plot(of_series["ms"], of_series["error"], label=name, **style)
+        if len(chosen):
+            axes.plot(chosen["ms"], chosen["error"], label=name, **style)
     judge = metric_of(metric)
     axes.set(xscale="log", xlabel="median time, ms a frame", ylabel=judge.title)
     _plain_numbers(axes.xaxis)

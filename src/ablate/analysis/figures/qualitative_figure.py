@@ -78,7 +78,7 @@ def _fill_columns(
 ) -> None:
     """A column a frame, its name above; the names of variants stand at the left, in lines of a picture's height."""
     down = len(grid)
-    of_line = max(int(tall_in / (EM * mpl.rcParams["font.size"] / 72)), 1)
+    letters = max(int(tall_in / (EM * mpl.rcParams["font.size"] / 72)), 1)
     for k, name in enumerate(names):
         block, row = divmod(k, down)
         panels = grid[row, block * len(frames) :]
@@ -86,7 +86,7 @@ def _fill_columns(
             if not _draw_of(panels[j], frame, name):
                 continue
             if j == 0:
-                panels[j].set_ylabel(textwrap.fill(shown_name(name, components), of_line))
+                panels[j].set_ylabel(textwrap.fill(shown_name(name, components), letters))
             if row == 0:
                 panels[j].set_title(frame.name)
 

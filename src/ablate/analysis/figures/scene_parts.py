@@ -30,13 +30,13 @@ def tissue_colours(tissues: Sequence[Tissue]) -> list[Colour]:
     grey, clear fluids blue and the rest warm. All but the background's follow from the tissue alone.
     """
     table = files("ablate.analysis.figures").joinpath("tissue_colours.csv").read_text("utf-8").split()
-    of_name = dict(row.split(",") for row in table)
+    colour_of_name = dict(row.split(",") for row in table)
     colours: list[Colour] = []
     colour: str | Colour
     for i, tissue in enumerate(tissues):
         number = crc32(tissue.name.encode())
-        if tissue.name in of_name:
-            colour = of_name[tissue.name]
+        if tissue.name in colour_of_name:
+            colour = colour_of_name[tissue.name]
         elif tissue.kind is TissueKind.bone:
             colour = BONE
         elif tissue.kind is TissueKind.gas:

@@ -56,15 +56,15 @@ def seed_claims(
     means = values.groupby(["metric", "variant", "seed"])["value"].mean()
     rows = []
     for metric in judged_metrics(list(values["metric"])):
-        of_metric = means.loc[metric]
-        variants = ordered_variants(list(of_metric.index.get_level_values("variant")), reference)
+        run_means = means.loc[metric]
+        variants = ordered_variants(list(run_means.index.get_level_values("variant")), reference)
         if reference not in variants:
             continue
         for variant in variants:
             if variant == reference:
                 continue
-            a = of_metric.loc[variant].to_numpy()
-            b = of_metric.loc[reference].to_numpy()
+            a = run_means.loc[variant].to_numpy()
+            b = run_means.loc[reference].to_numpy()
             seeds = min(len(a), len(b))
             testable = seeds >= FEWEST_SEEDS and has_spread(a) and has_spread(b)
             shift, lower, upper, p = welch(a, b) if testable else (None, None, None, None)

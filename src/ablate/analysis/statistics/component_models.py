@@ -134,9 +134,9 @@ def levels_on(design: Design, components: Sequence[Component]) -> dict[str, obje
     levels = {}
     for factor in design.factors:
         pair = list(design.cells[factor].cat.categories)
-        of_key = [component for component in known if component.key == key_of(factor)]
-        declared = [component for component in of_key if component.compares(*pair)]
-        levels[factor] = level_with([*declared, *of_key][0], pair)
+        entries = [component for component in known if component.key == key_of(factor)]
+        declared = [component for component in entries if component.compares(*pair)]
+        levels[factor] = level_with([*declared, *entries][0], pair)
     return levels
 
 

@@ -95,11 +95,10 @@ def find_design(
         return None
     design = _read(pd.DataFrame(cells, index=kept))
     reading = design.reading
-    of_images = [key for key in design.factors if key.startswith(_OF_IMAGES)]
-    if of_images:
-        reading += (
-            f" Levels of {', '.join(of_images)} were scored on different images; p does not count how these differ."
-        )
+    factors_of_images = [key for key in design.factors if key.startswith(_OF_IMAGES)]
+    if factors_of_images:
+        names = ", ".join(factors_of_images)
+        reading += f" Levels of {names} were scored on different images; p does not count how these differ."
     left_out = [label for label in runs if label not in design.cells.index]
     if left_out:
         reading += f" Left out of it: {', '.join(left_out)}."
@@ -125,8 +124,8 @@ def _other_levels(
     for key, here in runs[reference].items():
         others = [run[key] for run in runs.values() if run.get(key, here) != here]
         if others:
-            of_key = [component for component in components if component.key == key]
-            compared = [o for o in dict.fromkeys(others) if any(c.compares(here, o) for c in of_key)]
+            declared = [component for component in components if component.key == key]
+            compared = [o for o in dict.fromkeys(others) if any(c.compares(here, o) for c in declared)]
             levels[key] = list(dict.fromkeys([max(dict.fromkeys(others), key=others.count), *compared]))
     return levels
 

@@ -138,20 +138,20 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
     residuals = np.where(np.abs(residuals) > rounding, residuals, 0.0)
     dof = len(runs) - design.shape[1]
     variance = np.sum(residuals**2) / dof if dof > 0 else np.nan
-    of_terms = slice(1, 1 + len(terms))
+    term_columns = slice(1, 1 + len(terms))
     inverse = linalg.inv(design.T @ design)
-    second = design[:, of_terms] > 0
+    second = design[:, term_columns] > 0
     changed = np.count_nonzero(second, axis=0)
     return LinearModel(
         terms=tuple(terms),
-        effects=estimate[of_terms],
-        covariance=variance * inverse[of_terms, of_terms],
+        effects=estimate[term_columns],
+        covariance=variance * inverse[term_columns, term_columns],
         dof=dof,
         runs=np.column_stack([len(runs) - changed, changed]),
         aliases=_aliases(signs, factors, terms, blocks),
         residuals=residuals,
         spread=_spread(runs, signs, second, rounding) & residuals.any(),
-        influence=(inverse @ design.T)[of_terms],
+        influence=(inverse @ design.T)[term_columns],
         freedom=1 - np.einsum("ij,jk,ik->i", design, inverse, design),
         second=second.T,
     )

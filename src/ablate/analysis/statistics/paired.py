@@ -210,7 +210,7 @@ def paired_difference(
     rounding = 8 * np.finfo(float).eps * np.maximum(np.abs(values[finite]), np.abs(reference[finite]))
     differences = _tied(differences, rounding)
     by_site = pd.DataFrame({"difference": differences, "rounding": rounding}).groupby(labels)
-    of_sites = _tied(by_site["difference"].mean().to_numpy(), by_site["rounding"].max().to_numpy())
+    site_differences = _tied(by_site["difference"].mean().to_numpy(), by_site["rounding"].max().to_numpy())
     lower, upper = -np.inf, np.inf
     groups = len(np.unique(labels))
     if groups > 1:
@@ -222,7 +222,7 @@ def paired_difference(
         lower=float(lower),
         upper=float(upper),
         p=_wilcoxon(differences),
-        p_sites=_wilcoxon(of_sites),
+        p_sites=_wilcoxon(site_differences),
         effect=rank_biserial(differences),
         n=int(differences.size),
         dropped=int(np.count_nonzero(~finite)),

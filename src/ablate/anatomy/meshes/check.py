@@ -144,7 +144,7 @@ def overlaps(mesh: trimesh.Trimesh) -> int:
     order = np.lexsort((met @ _ASKEW, line))
     turns = np.where(mesh.face_normals[face[order]] @ _ASKEW < 0, 1, -1)
     by_line = np.split(turns, np.flatnonzero(np.diff(line[order])) + 1)
-    return sum(bool((np.abs(np.cumsum(of_line)) > 1).any()) for of_line in by_line)
+    return sum(bool((np.abs(np.cumsum(crossings)) > 1).any()) for crossings in by_line)
 
 
 def folds(mesh: trimesh.Trimesh) -> int:

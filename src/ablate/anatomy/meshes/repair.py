@@ -148,12 +148,12 @@ def _without_sheets(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple
     ordered = piece[faces[order, 0]]
     stays, widths = np.ones(len(faces), bool), []
     for number in np.unique(piece[rims[:, 0]]):
-        of_piece = order[slice(*np.searchsorted(ordered, (number, number + 1)))]
-        long, wide, thick = np.ptp(principal_axes(vertices[np.unique(faces[of_piece])])[0], axis=0)
+        triangles = order[slice(*np.searchsorted(ordered, (number, number + 1)))]
+        long, wide, thick = np.ptp(principal_axes(vertices[np.unique(faces[triangles])])[0], axis=0)
         if thick <= FLAT_FRACTION * wide:
-            caps = cap_open_ends(vertices, faces[of_piece], name)[0]
-            if _area(vertices, faces[of_piece]) < _SHEET_AREA * _area(vertices, caps):
-                stays[of_piece] = False
+            caps = cap_open_ends(vertices, faces[triangles], name)[0]
+            if _area(vertices, faces[triangles]) < _SHEET_AREA * _area(vertices, caps):
+                stays[triangles] = False
                 widths.append(float(long))
     return faces[stays], widths
 

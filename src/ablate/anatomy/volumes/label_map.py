@@ -151,8 +151,8 @@ def _classes(path: Path, tissues: Mapping[str, Tissue], where: str) -> tuple[tup
                 "known; allowed are mappings of labels to tissues, as task=describe proposes them"
             )
         classes[label] = found
-    of_name = Counter(name for name, _ in classes.values())  # parts of one organ have its name and their number
-    called = {label: name if of_name[name] == 1 else f"{name} {label}" for label, (name, _) in classes.items()}
+    count_of_name = Counter(name for name, _ in classes.values())  # parts of one organ have its name and their number
+    called = {label: name if count_of_name[name] == 1 else f"{name} {label}" for label, (name, _) in classes.items()}
     return tuple(Label(n, called[n], tissues[one_of(classes[n][1], tissues, where)]) for n in sorted(classes)), ""
 
 

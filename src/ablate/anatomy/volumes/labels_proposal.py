@@ -84,9 +84,9 @@ def proposed_labels(names: Sequence[str], folder: Path, left_out: dict[str, str]
         proposal, used = _of_masks(masks, folder, left_out)
     else:
         proposal, used = _of_numbers(labelled), [labelled]
-    of_labels = used[0].volume
+    volume = used[0].volume
     others = [one for one in looked if one not in used and one.name not in left_out]
-    same = [one for one in others if one.volume.is_on_grid_of(of_labels)]
+    same = [one for one in others if one.volume.is_on_grid_of(volume)]
     for image in sorted(same, key=lambda one: bool(one.labels)):  # an image before a mask
         if proposal["body"] is None:
             _try_as_body(proposal, image, folder, left_out)
@@ -97,7 +97,7 @@ def proposed_labels(names: Sequence[str], folder: Path, left_out: dict[str, str]
             several = f"{len(proposal['masks'])} masks" if proposal["masks"] else used[0].name
             left_out[one.name] = (one.why or f"{several} of the scene have more labels") + grid
     order = read_order(_as_labels(proposal, folder), "labels")[0]
-    corners = [of_labels.affine @ [*corner, 1] for corner in product(*((0, n - 1) for n in of_labels.shape))]
+    corners = [volume.affine @ [*corner, 1] for corner in product(*((0, n - 1) for n in volume.shape))]
     heights = {"z_mm": (min(corner[2] for corner in corners), max(corner[2] for corner in corners))}
     return {**proposal, **heights, "share": float((order > 0).mean())}
 

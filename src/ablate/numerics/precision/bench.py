@@ -145,10 +145,7 @@ def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     }
     if base.compound_angles > 1:
         values["compound_angles"] = {angles for angles in ANGLES if angles <= base.compound_angles}
-    return {
-        name: {value: _changed(base, {name: value}) for value in sorted(of_ladder)}
-        for name, of_ladder in values.items()
-    }
+    return {name: {value: _changed(base, {name: value}) for value in sorted(steps)} for name, steps in values.items()}
 
 
 def combined(base: SimulatorSettings) -> list[dict[str, int]]:

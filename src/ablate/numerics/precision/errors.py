@@ -84,12 +84,12 @@ def relative_change(metric: str, error: float, other: float) -> float:
     return abs(other / error - 1) if error else float("inf")
 
 
-def worse_than(of_frames: pd.DataFrame, series: str, setting: str) -> pd.DataFrame:
+def worse_than(per_frame: pd.DataFrame, series: str, setting: str) -> pd.DataFrame:
     """How much worse renderers are than one of them on the same frames, with 95 % intervals.
 
     Parameters
     ----------
-    of_frames : DataFrame
+    per_frame : DataFrame
         Columns series, setting, metric, frame, error: one row an error of a frame.
     series, setting : str
         The one that the others are compared with, as the re-simulation.
@@ -100,13 +100,13 @@ def worse_than(of_frames: pd.DataFrame, series: str, setting: str) -> pd.DataFra
         Columns series, setting, metric, worse (in units of the metric; of the PSNR how much smaller) and
         `WORSE_BOUNDS`, by Student's t over the paired differences of the frames; NaN of one frame.
     """
-    of_frames = of_frames[np.isfinite(of_frames["error"])]
+    per_frame = per_frame[np.isfinite(per_frame["error"])]
     badness = [
-        metric_of(metric).badness(error) for metric, error in zip(of_frames["metric"], of_frames["error"], strict=True)
+        metric_of(metric).badness(error) for metric, error in zip(per_frame["metric"], per_frame["error"], strict=True)
     ]
-    of_frames = of_frames.assign(badness=badness)
-    chosen = of_frames[(of_frames["series"] == series) & (of_frames["setting"] == setting)]
-    paired = of_frames.merge(chosen[["metric", "frame", "badness"]], on=["metric", "frame"], suffixes=("", "_there"))
+    per_frame = per_frame.assign(badness=badness)
+    chosen = per_frame[(per_frame["series"] == series) & (per_frame["setting"] == setting)]
+    paired = per_frame.merge(chosen[["metric", "frame", "badness"]], on=["metric", "frame"], suffixes=("", "_there"))
     paired["worse"] = paired["badness"] - paired["badness_there"]
     statistics = paired.groupby(["series", "setting", "metric"], sort=False)["worse"].agg(["mean", "std", "count"])
     reach = statistics["std"] / np.sqrt(statistics["count"]) * stats.t.ppf((1 + LEVEL) / 2, statistics["count"] - 1)

@@ -56,7 +56,7 @@ def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
     again = faster.merge(resimulated[["metric", "error"]], on=["metric", "error"])  # from another ladder
     faster = faster[~faster["setting"].isin(again["setting"])]
     names = {setting: named_setting(OTHER_SERIES, setting) for setting in faster["setting"]} | {usual: RESIMULATION}
-    of_simulator = pd.concat([resimulated, faster]).assign(setting=lambda table: table["setting"].map(names))
+    settings = pd.concat([resimulated, faster]).assign(setting=lambda table: table["setting"].map(names))
     formula = points[points["series"] == FORMULA].assign(setting="")
     networks = points[~points["series"].isin([OTHER_SERIES, FORMULA])]
     ways = networks["setting"].str.extract(WAY)
@@ -64,4 +64,4 @@ def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
     first = ranked.drop_duplicates(["series", "study", "precision", "metric"]).sort_index()
     twice = first.duplicated(["series", "precision", "metric"], keep=False)  # from several studies
     first = first.assign(setting=first["precision"] + (", " + first["study"]).where(twice).fillna(""))
-    return pd.concat([of_simulator, formula, first])[errors.columns].reset_index(drop=True)
+    return pd.concat([settings, formula, first])[errors.columns].reset_index(drop=True)

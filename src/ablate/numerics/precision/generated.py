@@ -232,8 +232,8 @@ def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Mea
     converter = scan_converter(bench.probe, bench.simulator.beam_shape, bench.simulator.image_shape)
 
     def render_frame(frame: int) -> np.ndarray:
-        of_frame = formula.insonified({name: of_all[frame] for name, of_all in maps.items()})
-        return converter.to_image(formula(of_frame, int(bench.frames[frame])))
+        insonified = formula.insonified({name: all_frames[frame] for name, all_frames in maps.items()})
+        return converter.to_image(formula(insonified, int(bench.frames[frame])))
 
     rendered, formula_ms = _all_frames(render_frame, len(bench.frames))
     setting = ", ".join(names)
@@ -259,8 +259,8 @@ def _render(
     mask = torch.from_numpy(fan).to(device)
 
     def render_frame(frame: int) -> np.ndarray:
-        of_frame = {name: of_all[frame : frame + 1] for name, of_all in maps.items()}
-        given = {name: read.to(device) for name, read in network_inputs(of_frame, values, fan).items()}
+        frame_maps = {name: all_frames[frame : frame + 1] for name, all_frames in maps.items()}
+        given = {name: read.to(device) for name, read in network_inputs(frame_maps, values, fan).items()}
         image = render(given, torch.tensor([int(bench.frames[frame])], device=device))
         with without_teams():
             levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device

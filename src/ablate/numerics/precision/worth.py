@@ -34,24 +34,24 @@ def worth(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
         long` its time over the renderer's.
     """
     judged = errors[errors["metric"].isin(JUDGES)]
-    of_metric = [metric_of(metric) for metric in judged["metric"]]
-    badness = [metric.badness(error) for metric, error in zip(of_metric, judged["error"], strict=True)]
-    judged = judged.assign(badness=badness, title=[metric.title for metric in of_metric])
+    metrics = [metric_of(metric) for metric in judged["metric"]]
+    badness = [metric.badness(error) for metric, error in zip(metrics, judged["error"], strict=True)]
+    judged = judged.assign(badness=badness, title=[metric.title for metric in metrics])
     simulated = judged[judged["series"] == OTHER_SERIES]
     rows = []
     for (renderer, metric), points in _renderers(judged).groupby(["renderer", "metric"], sort=False):
-        ms, of_renderer = points["ms"].iloc[0], points["badness"].mean()
+        ms, renderer_error = points["ms"].iloc[0], points["badness"].mean()
         settings = simulated[simulated["metric"] == metric]
         level = settings.loc[settings["setting"] == usual, "badness"].iloc[0]
         within = settings[settings["ms"] <= ms].sort_values("badness").head(1)
-        near = settings[settings["badness"] <= of_renderer].sort_values("ms").head(1)
+        near = settings[settings["badness"] <= renderer_error].sort_values("ms").head(1)
         decimals = metric_of(str(metric)).decimals
         rows.append(
             {
                 "renderer": renderer,
                 "metric": points["title"].iloc[0],
                 "ms": f"{ms:.1f}",
-                "above": f"{of_renderer - level:.{decimals}f}",
+                "above": f"{renderer_error - level:.{decimals}f}",
                 "in its time": _named(within, usual),
                 "its error above": f"{within['badness'].iloc[0] - level:.{decimals}f}" if len(within) else _NONE,
                 "as near": _named(near, usual),

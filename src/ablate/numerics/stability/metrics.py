@@ -51,8 +51,8 @@ def _against(checks: Checks, label: str, scores: dict[str, float], right: dict[s
 @case("all-black, all-white and identical images in every metric")
 def _black_and_white(checks: Checks) -> None:
     """Black against white images, and each image against itself."""
-    of_pair = [name for name, metric in metrics.METRICS.items() if metric.of_image or metric.of_draws]
-    same = {name: math.inf if name in ("psnr", "psnr_fan") else 0.0 for name in of_pair}
+    pair_metrics = [name for name, metric in metrics.METRICS.items() if metric.of_image or metric.of_draws]
+    same = {name: math.inf if name in ("psnr", "psnr_fan") else 0.0 for name in pair_metrics}
     for label, image in (("black, black", BLACK), ("white, white", WHITE), ("noise, itself", NOISE[0])):
         _against(checks, label, _scores(image, image), same)
     apart = {"psnr": 0.0, "psnr_fan": 0.0, "mae": 255.0, "mae_fan": 255.0, "mae_smooth": 255.0, "pchi2": 1.0}

@@ -103,14 +103,14 @@ def _compared(checks: Checks, spec: GeneratorSpec, maps: dict[str, Tensor]) -> N
     fine = f"{len(layers)} layers, each a sum of up to {terms} products, if all errors add up."
     coarse = f"{len(layers)} layers that round input, weight and result."
     precisions = (name, "float32", unit, fine), ("bfloat16", "bfloat16", 3 * BFLOAT16, coarse)
-    for checks.dtype, kind, of_a_layer, why in precisions:
+    for checks.dtype, kind, layer_error, why in precisions:
         module = Stepped(spec, SETTINGS, checks.device, kind)
         image = module.image(maps)
         losses = module.step(maps, 3)
         checks.finite(image, np.array(list(losses.values())), what="pixels and losses")
         checks.finite(*gradients_of(module), what="gradients")
         error = np.sqrt(((image - right) ** 2).mean()) / size
-        checks.add("image against float64, of its root mean square", error, len(layers) * of_a_layer, why)
+        checks.add("image against float64, of its root mean square", error, len(layers) * layer_error, why)
 
 
 def _variant(checks: Checks, name: str) -> None:

@@ -167,12 +167,12 @@ def _in_two_parts(digests: list[bytes], split: np.ndarray, names: tuple[str, ...
     found = []
     earlier: dict[bytes, int] = {}
     for part in (Part.train, Part.validation, Part.test):
-        of_part = np.flatnonzero(split == part)
-        same = [int(i) for i in of_part if digests[i] in earlier]
+        part_frames = np.flatnonzero(split == part)
+        same = [int(i) for i in part_frames if digests[i] in earlier]
         if same:
             example = f"{names[same[0]]} is {names[earlier[digests[same[0]]]]}"
-            found.append(f"{len(same)} of {len(of_part)} {part.name} frames, the first of which {example}")
-        for i in of_part:
+            found.append(f"{len(same)} of {len(part_frames)} {part.name} frames, the first of which {example}")
+        for i in part_frames:
             earlier.setdefault(digests[i], int(i))
     where = ", and ".join(found)
     return where and f"the same pictures are in two parts: {where}; scores tell nothing new about them"

@@ -239,15 +239,17 @@ class SignalChain:
             gain = gain * 10 ** (display.gain_at(self._range_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)
         envelope, grey = np.zeros((2, *noise.shape[1:]), noise.dtype)
-        of_one, power_of_one = (np.empty_like(envelope) if len(signals) > 1 else part for part in (envelope, grey))
+        envelope_of_one, power_of_one = (
+            np.empty_like(envelope) if len(signals) > 1 else part for part in (envelope, grey)
+        )
         picture = np.empty(settings.beam_shape, np.uint8)
 
         def shown(begin: int, end: int) -> None:
             some = slice(begin, end)
             for number, (signal, shift) in enumerate(zip(signals, shifts, strict=True)):
-                _received((*signal, noise), shift, gain[number], floor, (of_one, power_of_one), begin, end)
+                _received((*signal, noise), shift, gain[number], floor, (envelope_of_one, power_of_one), begin, end)
                 if len(signals) > 1:
-                    envelope[some] += self._shares[number][some] * of_one[some]
+                    envelope[some] += self._shares[number][some] * envelope_of_one[some]
                     grey[some] += self._shares[number][some] * np.sqrt(power_of_one[some])
             if len(signals) > 1:
                 np.square(grey[some], out=grey[some])

@@ -126,8 +126,8 @@ def _of_rows(field: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     rows, scanlines = settings.beam_shape
     each = field.shape[1] // rows
     half = -(-each // 2)  # the sample in the middle of an odd number belongs to both
-    of_row = field.reshape(scanlines, rows, each)
-    halves = [of_row[..., :half], of_row[..., each - half :]]
+    samples_of_rows = field.reshape(scanlines, rows, each)
+    halves = [samples_of_rows[..., :half], samples_of_rows[..., each - half :]]
     summed = np.stack([part.sum(axis=-1) for part in halves], axis=-1) / np.float32(np.sqrt(half))
     return np.ascontiguousarray(summed.transpose(1, 0, 2), np.complex64)
 

@@ -61,9 +61,9 @@ class Speckle:
         places = max(nodes, shape[2] // self._stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
         amplitude = np.empty(labels.shape, self.dtype)
-        of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
+        line_geometry = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
         textures = self._textures, texture.texture_volume(), texture.texture_start(seed), coarse
-        fill = partial(texture.insonify, amplitude, node_db.reshape(-1, nodes), of_lines, textures)
+        fill = partial(texture.insonify, amplitude, node_db.reshape(-1, nodes), line_geometry, textures)
         in_parts(fill, len(labels), LINES_OF_A_PART)
 
         places = lattice.places_of((starts, directions), self._pitch_mm, self._settings)
@@ -88,8 +88,8 @@ class Speckle:
         own_db = line_db.reshape(layers, scanlines, 1) + self._weights_db[:, None, at_nodes]
         own_db = own_db - self._across_db(starts[:scanlines], directions[:scanlines], at_nodes)
         weights = 10 ** (self._weights_db[:, at_nodes] / 20)
-        of_layers = scatterers.shared_cell_gain_of_layers(starts[::scanlines], weights, self._pitch_mm)
-        return own_db - 10 * np.log10(of_layers)
+        layer_gains = scatterers.shared_cell_gain_of_layers(starts[::scanlines], weights, self._pitch_mm)
+        return own_db - 10 * np.log10(layer_gains)
 
     def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
         """What neighbouring scanlines of a layer add because they share lattice cells, (scanlines, depths), dB."""

@@ -113,7 +113,7 @@ def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures
 def _coarse_levels(level: np.ndarray, node_db: np.ndarray, row: int, lines: Arrays, textures: Arrays) -> None:
     """Fill the levels of the coarse samples of a line, (places + 1,), the last one twice, nepers."""
     starts, directions, ranges_mm, tissues = lines
-    of_tissue, volume, begins_at, coarse = textures
+    tissue_levels, volume, begins_at, coarse = textures
     nodes, places = node_db.shape[1], len(coarse)
     for place in range(places):
         node = place * ((nodes - 1) / max(places - 1, 1))
@@ -121,12 +121,12 @@ def _coarse_levels(level: np.ndarray, node_db: np.ndarray, row: int, lines: Arra
         above = min(below + 1, nodes - 1)
         decibels = node_db[row, below] + (node - below) * (node_db[row, above] - node_db[row, below])
         tissue = tissues[row, coarse[place]]
-        if of_tissue[tissue, 3] != 0:
+        if tissue_levels[tissue, 3] != 0:
             r = ranges_mm[row, coarse[place]]
-            x = (starts[row, 0] + directions[row, 0] * r) * of_tissue[tissue, 0] + begins_at[0]
-            y = (starts[row, 1] + directions[row, 1] * r) * of_tissue[tissue, 1] + begins_at[1]
-            z = (starts[row, 2] + directions[row, 2] * r) * of_tissue[tissue, 2] + begins_at[2]
-            decibels += texture_db(volume, x, y, z, of_tissue[tissue, 3])
+            x = (starts[row, 0] + directions[row, 0] * r) * tissue_levels[tissue, 0] + begins_at[0]
+            y = (starts[row, 1] + directions[row, 1] * r) * tissue_levels[tissue, 1] + begins_at[1]
+            z = (starts[row, 2] + directions[row, 2] * r) * tissue_levels[tissue, 2] + begins_at[2]
+            decibels += texture_db(volume, x, y, z, tissue_levels[tissue, 3])
         level[place] = decibels * (math.log(10) / 20)
     level[places] = level[places - 1]
 

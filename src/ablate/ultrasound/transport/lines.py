@@ -140,9 +140,12 @@ def clutter_lines(
         return torch.empty((0, samples), dtype=dtype).numpy()
     lines, cells = reverberation.shape
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
-    smooth, of_sets = torch.from_numpy(reverberation) @ along.T, [slice(k, None, sets) for k in range(min(sets, lines))]
-    spread = torch.stack([across[:, some] @ smooth[some] for some in of_sets])
-    share = torch.stack([across[:, some].sum(dim=-1) for some in of_sets]) / across.sum(dim=-1)
+    smooth, sets_of_lines = (
+        torch.from_numpy(reverberation) @ along.T,
+        [slice(k, None, sets) for k in range(min(sets, lines))],
+    )
+    spread = torch.stack([across[:, some] @ smooth[some] for some in sets_of_lines])
+    share = torch.stack([across[:, some].sum(dim=-1) for some in sets_of_lines]) / across.sum(dim=-1)
     if len(spread) == 1:
         total = spread[0]
     else:

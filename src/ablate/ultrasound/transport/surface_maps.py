@@ -83,7 +83,7 @@ class SurfaceMaps:
     def _direct(self, pose: np.ndarray) -> tuple[np.ndarray, Arrays]:
         """Echoes, (layers, scanlines, rows); levels of pencils and of all elements, (layers, scanlines, nodes), dB."""
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
-        of_lines = *starts.shape[:2], -1
+        line_shape = *starts.shape[:2], -1
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
         inside = inside_at(self._geometry, starts, directions)
         lines = start_lines(starts, directions, self._plan.tissue_of_owner[owners(inside)])
@@ -103,7 +103,7 @@ class SurfaceMaps:
         in_parts(partial(follow, lines, through), len(starts), _LINES_OF_A_PART)
         mean_db = mean_level_db(through.sound, 1, self._beam)
         _, level_db = self._aperture.gain_and_level_db(mean_db)
-        return through.amplitude.reshape(of_lines), (mean_db.reshape(of_lines), level_db.reshape(of_lines))
+        return through.amplitude.reshape(line_shape), (mean_db.reshape(line_shape), level_db.reshape(line_shape))
 
     def _reverberation(self, pose: np.ndarray) -> np.ndarray:
         """Amplitudes of what surfaces reflect to one another, (scanlines, rows)."""
