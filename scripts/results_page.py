@@ -17,14 +17,12 @@ from ablate.analysis import (
     RESIMULATION,
     FramePictures,
     Verdict,
-    caption,
     forest_figure,
     improvements,
     interactions,
     ordered_variants,
     qualitative_figure,
 )
-from ablate.analysis.figures.forest_figure import asks_to_save
 from ablate.analysis.figures.style import shown_name
 from ablate.analysis.statistics.component_models import ErrorOf
 from ablate.analysis.tables import NOTHING, head
@@ -38,6 +36,13 @@ from ablate.study.reading import provenance
 from ablate.study.run import Run, read_list
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
+CAPTION = (
+    "What components earn, each on its own metric. The unit is the change that is too small to matter; beyond it the "
+    "axis is logarithmic. Zero is the mean of the runs without the component; dots are runs, adjusted for the other "
+    "components and the anatomy. The thin line has Holm's correction over the components, and only its ends have a "
+    "meaning: does not, if the right end is below 1; otherwise earns, if the left end is above 0. An effect is that "
+    "of one change while all else is as in sa2h."
+)
 COLUMNS = (
     "An effect is the mean with a component minus the mean without it; the arrow says which values are better. "
     "p (zero) tests that the effect is zero, p (band) that the improvement is at least the band, both corrected over "
@@ -85,8 +90,7 @@ def study_lines(folder: Path) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        facts = {"design": answers.design, "saving": asks_to_save(answers.verdicts)}
-        told = caption("verdicts", **facts) if folder.name == MAIN else "Drawn and judged as above."
+        told = CAPTION if folder.name == MAIN else "Drawn and judged as above."
         yield f"{drawn['verdicts']}\n\n*{told}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
