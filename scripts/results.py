@@ -2,11 +2,11 @@
 
 python scripts/results.py keep runs/full_model    # copy what its comparison is of into docs/results/full_model
 python scripts/results.py restore             # put it back into runs/: comparing it, or the same sweep, trains nothing
-python scripts/results.py table               # write the tables of docs/results.md and its figures
+python scripts/results.py table               # write the tables of docs/results.md and docs/components.md, and figures
 
 `keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scores and what it
 was made with; not with its weights. Times a frame are kept, too. Of each variant on the data of the reference the first
-training keeps one picture. Prose in docs/results.md stays as it is: what stands between the two markers is written.
+training keeps one picture. Prose stays as it is: what stands between the two markers is written.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+import components_page
 from ablate.analysis import RESIMULATION
 from ablate.storage import known_json, write_json
 from ablate.study.comparable import comparable_runs
@@ -25,7 +26,7 @@ from ablate.study.frame_times import TIMES
 from ablate.study.reading import pictures
 from ablate.study.run import COMPARISON, LIST, Run, RunList, read_list, write_list
 from ablate.study.training import ABOUT, RESULT
-from results_page import FRAME, MAIN, write_page
+from results_page import FRAME, MAIN, write_between, write_results
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT = DOCS / "results"
@@ -155,7 +156,9 @@ def main() -> int:
     args = parser.parse_args()
     try:
         if args.command == "table":
-            write_page(KEPT, PAGE)
+            write_results(KEPT, PAGE)
+            if read_list(KEPT / components_page.STUDY).runs:
+                write_between(DOCS / "components.md", components_page.lines(KEPT / components_page.STUDY))
         else:
             print("\n".join(keep(args.study) if args.command == "keep" else restore(runs_dir=args.runs)))
     except ValueError as error:

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -50,7 +51,7 @@ COLUMNS = (
 )
 FRAME = "frame.npz"
 MAIN = "full_model"  # which keeps pictures
-STUDIES = (MAIN, "extension")  # that are shown, each a file of conf/study
+STUDIES = (MAIN, "extension")  # of docs/results.md, each a file of conf/study
 # What SA2H of preset=traced is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
@@ -76,8 +77,11 @@ def finished_of(study: str, runs: Sequence[Run]) -> tuple[bool, str]:
     return True, f"{said}: {len(design & done)} of the {len(design)} runs of the design."
 
 
-def study_lines(folder: Path) -> Iterator[str]:
-    """The page of a kept study, paragraph by paragraph; figures and `verdicts.csv` are written into its folder."""
+def study_lines(folder: Path, first: bool) -> Iterator[str]:
+    """What a page says of a kept study, paragraph by paragraph; `first` explains figure and table.
+
+    Figures and `verdicts.csv` are written into the study's folder.
+    """
     try:
         study = ablate.open_study(folder)
     except FileNotFoundError as error:
@@ -90,12 +94,10 @@ def study_lines(folder: Path) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        told = CAPTION if folder.name == MAIN else "Drawn and judged as above."
-        yield f"{drawn['verdicts']}\n\n*{told}*"
+        yield f"{drawn['verdicts']}\n\n*{CAPTION if first else 'Drawn and judged as above.'}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
-            (COLUMNS if folder.name == MAIN else "")
-            + f"The pooled error has {answers.verdicts['dof'].max():.0f} degrees of freedom"
+            (COLUMNS if first else "") + f"The pooled error has {answers.verdicts['dof'].max():.0f} degrees of freedom"
             f"{own_errors(answers.verdicts)}. "
             f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
         )
@@ -279,18 +281,20 @@ def probability(p: float) -> str:
     return NOTHING if pd.isna(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def write_page(kept: Path, page: Path) -> None:
-    """Write what stands between the markers of the page; a page without them is begun.
-
-    `kept` is the folder of kept studies. Raises ValueError when nothing is kept.
-    """
+def write_results(kept: Path, page: Path) -> None:
+    """Write the page of the studies; a ValueError when nothing is kept in the folder."""
     studies = [kept / name for name in STUDIES if read_list(kept / name).runs]
     if not studies:
         raise ValueError(f"{kept} holds no study; `python scripts/results.py keep runs/full_model` copies one")
+    write_between(page, chain(*(study_lines(study, first=study is studies[0]) for study in studies)))
+
+
+def write_between(page: Path, paragraphs: Iterable[str]) -> None:
+    """Write what stands between the markers of a page; one that is not there is begun."""
     text = page.read_text() if page.exists() else f"# Results\n\n{BEGIN}\n{END}\n"
     before, _, rest = text.partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not ended:
         raise ValueError(f"{page} lacks the markers {BEGIN} and {END}")
-    paragraphs = [line.strip() for study in studies for line in study_lines(study) if line]
-    page.write_text(before + BEGIN + "\n\n" + "\n\n".join(paragraphs) + "\n\n" + END + after)
+    written = "\n\n".join(paragraph.strip() for paragraph in paragraphs if paragraph)
+    page.write_text(f"{before}{BEGIN}\n\n{written}\n\n{END}{after}")

@@ -236,7 +236,7 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     keep_frame(kept)
     markers = importlib.import_module("results_page")
     page.write_text(f"Before.\n{markers.BEGIN}\nold\n{markers.END}\nAfter.\n")
-    script.write_page(kept, page)
+    script.write_results(kept, page)
     text = page.read_text()
     assert text.startswith(f"Before.\n{markers.BEGIN}")
     assert text.endswith(f"{markers.END}\nAfter.\n")
@@ -294,7 +294,7 @@ def test_verdicts_of_an_unfinished_design_are_preliminary(study: Path, script: M
     for result in sorted(study.glob("*.concat-input-seed*/trained.json")):
         result.unlink()
     script.keep(study, kept)
-    script.write_page(kept, page)
+    script.write_results(kept, page)
     text = page.read_text()
     assert "57 of 61 runs are finished: 48 of the 52 runs of the design. **All verdicts are preliminary.**" in text
     words = [row[2] for row in rows_of(text, "verdicts.png)").values()][2:]
@@ -309,7 +309,7 @@ def test_a_page_is_made_of_whatever_has_finished(
 ) -> None:
     compared(study, [run for run in read_list(study).runs if run.label in labels])
     script.keep(study, tmp_path / "results")
-    script.write_page(tmp_path / "results", tmp_path / "page.md")
+    script.write_results(tmp_path / "results", tmp_path / "page.md")
     text = (tmp_path / "page.md").read_text()
     assert f"{4 * ('sa2h' in labels) + 3 * (labels[-1] != 'sa2h')} of {RUNS} runs are finished" in text
     assert "earns**" not in text
@@ -320,8 +320,29 @@ def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType
     with pytest.raises(ValueError, match="holds no comparison"):
         script.keep(tmp_path / "nowhere", tmp_path / "kept")
     with pytest.raises(ValueError, match="holds no study"):
-        script.write_page(tmp_path / "kept", tmp_path / "page.md")
+        script.write_results(tmp_path / "kept", tmp_path / "page.md")
     script.keep(study, tmp_path / "kept")
     (tmp_path / "page.md").write_text("No markers.")
     with pytest.raises(ValueError, match="lacks the markers"):
-        script.write_page(tmp_path / "kept", tmp_path / "page.md")
+        script.write_results(tmp_path / "kept", tmp_path / "page.md")
+
+
+@pytest.mark.usefixtures("script")
+def test_the_scale_of_a_network_is_that_of_its_own_maps() -> None:
+    page = importlib.import_module("components_page")
+    scalars = {"fd_speckle": (1.0, 2.0, 0.0), "octave_sd": (0.5, 2.0, 0.1), "psnr": (22.0, 20.0, 24.0)}
+    scalars |= {"mae_smooth": (10.0, 18.0, 8.0), "pchi2_tissue": (0.1, 0.2, 0.1)}
+
+    def made(label: str, data: str, more: float) -> Run:
+        values = {}
+        for name, (model, formula, best) in scalars.items():
+            values |= {f"test/{name}": model + more, f"test/formula_{name}": formula, f"test/floor_{name}": best}
+        return mock.Mock(label=label, data=data, scalars=values)
+
+    runs = [made("sa2h", "a", 0.0), made("sa2h", "a", 2.0), made("sa2h.anatomy_seed-13", "b", 3.0)]
+    runs += [made("full", "a", -2.0), made("sa2h.noise-input", "a", 99.0)]
+    means = page.run_means(mock.Mock(usable=mock.Mock(all=runs)))
+    assert means.loc[("sa2h", "model"), "mae_smooth"] == 12.0, "of both anatomies alike: (10 + 12) / 2 and 13"
+    assert means.loc[("sa2h", "model"), "runs"] == 3
+    table = {row[0]: row[1:] for row in page.scale_rows(means)}
+    assert table == {"sa2h": ["1.00", "0.60", "-19.00"], "full": ["0.00", "1.00", "21.00"]}
