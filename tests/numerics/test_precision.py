@@ -15,6 +15,7 @@ import torch
 from mlflow import MlflowClient
 from scipy import stats
 
+from ablate.anatomy import Scene, load_tissues
 from ablate.command.compose import jobs_of
 from ablate.dataset import Part, label_values, network_inputs
 from ablate.metrics import mae, psnr
@@ -26,6 +27,7 @@ from ablate.numerics.precision.bench import bench_of
 from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change, worse_than
 from ablate.numerics.precision.figures import renderers
 from ablate.numerics.precision.worth import worth
+from ablate.pretrained import load
 from ablate.publish import default_uri
 from ablate.settings.study import ConfigurationError
 from ablate.sources.prepare import prepare_data
@@ -294,6 +296,16 @@ def test_the_renderers_of_the_figure_are_named_and_those_that_know_the_scatterer
     assert shown.set_index("setting").loc["bf16", "ms"].tolist() == [19.0, 19.0], "the fastest engine of the first seed"
     assert shown.loc[0, ["worse_lower", "worse_upper"]].tolist() == [0, 0]
     assert shown.loc[1, "worse_lower"] == pytest.approx(1 - 1 / 16)
+
+
+def test_a_shipped_network_is_measured_on_frames_such_as_it_was_trained_on() -> None:
+    shipped = load("sa2h")
+    nothing = np.empty(0)
+    scene = Scene((), load_tissues()["liver"], "liver alone")
+    frames = bench.Bench(scene, shipped.probe, shipped.simulator, nothing, nothing, seed=0)
+    compounded = replace(frames, simulator=replace(shipped.simulator, compound_angles=3))
+    assert [c.series for c in generated.shipped_candidates(frames)] == ["shipped sa2h", "shipped full"]
+    assert generated.shipped_candidates(compounded) == []
 
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:

@@ -144,15 +144,14 @@ def _of_run(run: Training, settings: StudySettings) -> Candidate:
 
 
 def shipped_candidates(bench: Bench) -> list[Candidate]:
-    """The networks that come with the package and were trained on frames of this probe, this size and these tissues."""
+    """The networks that come with the package and were trained on such frames: probe, size, angles and tissues."""
     found = []
     for name in NAMES:
         renderer = load(name)
         trained = renderer.simulator
-        asked = bench.simulator
-        same = (trained.image_shape, trained.beam_shape) == (asked.image_shape, asked.beam_shape)
+        frames = [(s.image_shape, s.beam_shape, s.compound_angles) for s in (trained, bench.simulator)]
         knows = {tissue.name for tissue in bench.scene.tissues} <= renderer.values.keys()
-        if renderer.probe == bench.probe and same and knows:
+        if renderer.probe == bench.probe and frames[0] == frames[1] and knows:
             spec = renderer.generator.spec
             found.append(Candidate(f"{SHIPPED} {name}", (f"width {spec.width:g}",), name, partial(_shipped, renderer)))
     return found
