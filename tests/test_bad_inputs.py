@@ -75,6 +75,8 @@ def scene_folder(folder: Path, **changes: object) -> None:
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, full, lsa2h, nsa2h, sa2h, "),
+    (["gain_db=6"], r"gain_db=6: allowed with task=render or view, as it is of a picture alone"),
+    (["task=render", "gain_db=200"], r"gain_db=200.*: allowed are numbers from -100 to 100"),
     (["variant=sa2hh"], r"allowed are custom, .*; did you mean sa2h\?"),
     (["+study=everything"], r"study=everything: allowed are add_one_in, components, compounded, encoding"),
     (["-m", "+study=leave_one_out,table2"], r"\+study=leave_one_out,table2: allowed is one study a command"),

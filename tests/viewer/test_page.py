@@ -23,7 +23,7 @@ from ablate.dataset import read_poses
 from ablate.settings.study import ConfigurationError, Task
 from ablate.sources.prepare import simulator_of
 from ablate.sources.source import source_of
-from ablate.ultrasound import Simulator
+from ablate.ultrasound import Display, Simulator
 from ablate.viewer.calipers import in_plane
 from ablate.viewer.pictures import Window
 from ablate.viewer.task import Viewer
@@ -168,6 +168,7 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     client.set("Depth (mm)", 100)
     client.until(lambda: viewer.session.state.probe.depth_mm == 100)
     client.set("Dynamic range (dB)", 45.0)
+    client.set("Gain (dB)", 6.0)
     viewer.session.new_speckle()  # its seed is that of a data set with other training poses, and so another time gain
     settle(client, viewer)
     viewer.session.freeze(True)
@@ -191,7 +192,9 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     settings = simulator_of(
         job.settings, job.data, viewer.page.scene, source_of(job.settings).scene()[1], saved.pose[None]
     )
-    frame = Simulator(viewer.page.scene, saved.probe, settings).render(saved.pose, saved.seed)
+    simulator, shown = Simulator(viewer.page.scene, saved.probe, settings), Display(gain_db=job.settings.gain_db)
+    assert shown.gain_db == 6
+    frame = simulator.render(saved.pose, saved.seed, shown)
     np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), frame.image)
     viewer.session.freeze(False)
     viewer.session.reset()

@@ -12,6 +12,8 @@ from ablate.setting import Checked, check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 12
+#: That an operator can add to the gain of a picture, or take away.
+MOST_GAIN_DB = 100.0
 
 
 class PlanMode(StrEnum):

@@ -19,7 +19,7 @@ from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.simulated import training_poses
 from ablate.sources.source import source_of
 from ablate.study.job import Job
-from ablate.ultrasound import TimeGain
+from ablate.ultrasound import Display, TimeGain
 from ablate.viewer.generators import first_fitting, pickable
 from ablate.viewer.hand import Hand
 from ablate.viewer.page.browser import add_script, widths
@@ -73,7 +73,8 @@ class Viewer:
             of_gain = training_poses(settings, scene, grid, of_gain)
         custom = settings.model.target
         self.worker = Worker(SceneRenderer(scene, of_gain, custom).render)
-        start = ViewerState(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
+        display = Display(gain_db=settings.gain_db)
+        start = ViewerState(np.eye(4), settings.probe, settings.simulator, display, settings.dataset.seed)
         start = replace(start, runs=first_fitting(pickable(runs), scene.tissues, start, custom))
         self.session = Session(hand, start, poses, self.worker.submit)
         go_to_start(self.session, settings)
