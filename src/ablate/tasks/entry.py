@@ -20,6 +20,7 @@ from ablate.command.refusals import in_one_line, with_hint
 from ablate.command.schema import register
 from ablate.command.search import said_of_search
 from ablate.command.words import readable
+from ablate.setting import did_you_mean
 from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError, Task
 from ablate.study.job import Job
@@ -161,7 +162,8 @@ def objective(job: Job) -> float | None:
 
     scalars = run_of(job).scalars if job.finished else {}
     if name not in scalars:
-        raise ConfigurationError(f"objective={name}: {job.name} has no such score; allowed are {', '.join(scalars)}")
+        allowed = f"allowed are {', '.join(scalars)}{did_you_mean(name, scalars)}"
+        raise ConfigurationError(f"objective={name}: {job.name} has no such score; {allowed}")
     return float(scalars[name])
 
 

@@ -90,14 +90,7 @@ def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
     if settings.pose:
         return Path(settings.pose).stem, read_poses(Path(settings.pose), "pose")[0]
     if settings.plane:
-        planes = source_of(settings).planes()
-        if not planes:
-            raise ConfigurationError(
-                f"plane={settings.plane}: scene={settings.scene.kind} has no planes; allowed are pose and frame"
-            )
-        if settings.plane not in planes:
-            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(planes)}")
-        return settings.plane, planes[settings.plane][None]
+        return settings.plane, source_of(settings).planes()[settings.plane][None]
     check_frame(settings.frame, len(job.data.pairs) if job.data.exists else settings.dataset.frames)
     return None
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, structure_names
 from ablate.dataset import equally_spaced, place_probe, read_poses
+from ablate.setting import did_you_mean
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.simulated import training_poses
 from ablate.sources.source import source_of
@@ -151,7 +152,8 @@ def go_to_start(session: Session, settings: StudySettings) -> None:
     elif settings.plane:
         name = settings.plane.replace("_", " ")
         if name not in session.presets:
-            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(session.presets)}")
+            hint = did_you_mean(name, session.presets)
+            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(session.presets)}{hint}")
         session.to_preset(name)
 
 
