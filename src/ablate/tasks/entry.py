@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import hydra
@@ -86,6 +87,7 @@ def run_one(config: DictConfig) -> float | None:
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
         swept = [str(key) for key in (own.sweeper.get("swept") or own.sweeper.get("params") or ())]
         job = job_of(_words(own, "task"), swept if is_sweep else (), config=config)
+        job = replace(job, source=own.sweeper.get("source") or job.source)  # that of the command
         code = _do([job], Launch(start_here, compares=not is_sweep))
     except Exception as error:
         if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
