@@ -228,5 +228,7 @@ def test_dropped_poses_are_counted_told_and_kept_with_the_data(
     assert "9 probe poses at 9 sites; dropped 9: 9 the fan misses the region of interest; 9 of 12 frames" in (
         told.out + told.err
     )
+    of_moved = [line for line in told.err.splitlines() if line.startswith("simulate test frames after a motion")]
+    assert of_moved, "they are not counted as frames of the data set"
     with pytest.raises(ConfigurationError, match="frame=9: allowed are 0 to 8"):
         run("task=preview", "frame=9", f"runs_dir={tmp_path / 'runs'}", *TINY, *where)
