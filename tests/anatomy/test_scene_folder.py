@@ -145,7 +145,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, changes: dict[str, o
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
         load_scene(tmp_path / "nowhere")
-    with pytest.raises(FileNotFoundError, match=r"no scene\.yaml"):
+    with pytest.raises(FileNotFoundError, match=r"has no scene\.yaml; task=describe proposes one"):
         load_scene(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"structures\[0\]\.mesh: no file .*gone\.obj"):
         load_scene(write(tmp_path, **structure(mesh="gone.obj")))

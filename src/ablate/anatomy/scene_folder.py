@@ -60,7 +60,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
     path = folder / "scene.yaml"
     if not path.is_file():
-        raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
+        raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml; task=describe proposes one")
     content = values.mapping(values.read_yaml(path), f"{path}", SCENE_KEYS)
     mm_per_unit = UNITS_MM[values.one_of(content.get("unit", "mm"), UNITS_MM, f"{path}: unit")]
     tissues = _tissues(content.get("tissues") or {}, path)
