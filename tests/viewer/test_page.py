@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from ablate.sources.source import source_of
 from ablate.ultrasound import Display, Simulator
 from ablate.viewer.calipers import in_plane
 from ablate.viewer.pictures import Window
+from ablate.viewer.session import ViewerState
 from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
 from support.viewed_body import free_port, until
@@ -361,6 +363,24 @@ def test_the_network_that_the_command_line_names_is_the_one_that_generators_may_
         with pytest.raises(Stop):
             Viewer(jobs_of([*arguments, port, *words])[0].settings)
         assert named == [target, target]
+
+
+def test_it_starts_with_the_gain_of_the_command_line(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    starts: list[ViewerState] = []
+
+    class Stop(Exception):
+        pass
+
+    def stop(*given: Any) -> None:
+        starts.append(given[2])
+        raise Stop
+
+    monkeypatch.setattr("ablate.viewer.task.first_fitting", stop)
+    monkeypatch.setattr("ablate.viewer.task.SceneRenderer", lambda *_: SimpleNamespace(render=None))
+    with pytest.raises(Stop):
+        Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", "gain_db=-4.5"])[0].settings)
+    assert starts[0].display == Display(gain_db=-4.5)
+    assert starts[0].seed == 0
 
 
 def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:

@@ -199,7 +199,7 @@ def simulate_data(
     )
     frames = dataset.PlacedFrames(layout.poses, layout.sites, layout.split, mask)
     # the frames after motions first: where the data set has been laid out, they have been too
-    of_moved = "simulate test frames after a motion of the probe", moved, folder / MOVED_FOLDER
+    of_moved = "simulate test frames after a motion", moved, folder / MOVED_FOLDER
     for what, placed, place_of in (of_moved, ("simulate", frames, folder)):
         pairs = dataset.create_pairs(place_of, placed, stored_as, about)
         dataset.simulate_pairs(made_with, pairs, maps, settings.dataset.workers, what)
