@@ -75,7 +75,22 @@ def scene_folder(folder: Path, **changes: object) -> None:
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, full, lsa2h, nsa2h, sa2h, "),
+    (["gain_db=6"], r"gain_db=6: allowed with task=render or view, as it is of a picture alone"),
+    (["task=render", "gain_db=200"], r"gain_db=200.*: allowed are numbers from -100 to 100"),
     (["variant=sa2hh"], r"allowed are custom, .*; did you mean sa2h\?"),
+    (["task=render", "plane=femurr"], r"plane=femurr: allowed are head, .*; did you mean femur\?"),
+    (["task=view", "plane=Feemur"], r"plane=Feemur: allowed are head, .*; did you mean femur\?"),
+    (["reference=sa2-att"], r"reference=sa2-att: allowed are .*; did you mean sa2h-att\?"),
+    (["metrics=[psnr,pchi]"], r"metrics=pchi: allowed are all, .*; did you mean pchi2\?"),
+    (["objective=val/psmr"], r"objective=val/psmr: allowed are .*; did you mean val/psnr\?"),
+    (["scene.kind=fetall"], r"scene\.kind='fetall'.*: allowed are .*; did you mean fetal\?"),
+    (["task=comparee"], r"task=comparee: allowed are study, .*; did you mean compare\?"),
+    (["model.noise=injekt"], r"model\.noise=injekt: allowed are .*; did you mean inject\?"),
+    (["simulator.tgc=Patiant"], r"simulator\.tgc=Patiant: allowed are fixed, patient; did you mean patient\?"),
+    (["simulator.device=cudaa"], r"simulator\.device='cudaa': allowed are auto, cpu, cuda; did you mean cuda\?"),
+    (["simulator.device=gpu"], r"simulator\.device='gpu': allowed are auto, cpu, cuda$"),  # no name is that near
+    (["probe.kind=lineal"], r"probe\.kind=lineal: allowed are .*; did you mean linear\?"),
+    (["hydra/launcher=proceses", "-m"], r"allowed are .*; did you mean processes\?"),
     (["+study=everything"], r"study=everything: allowed are add_one_in, components, compounded, encoding"),
     (["-m", "+study=leave_one_out,table2"], r"\+study=leave_one_out,table2: allowed is one study a command"),
     (["study_name="], r"study_name=''?: allowed are "),  # a shell variable that is not set

@@ -7,6 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import nibabel
@@ -29,6 +30,7 @@ from ablate.dataset.pairs_folder import PlacedFrames, StoredAs, create_pairs, op
 from ablate.publish.training_view import _publish_images
 from ablate.storage import MOST_UNPACKED, check_archive
 from ablate.study.log import LoggedImage
+from ablate.study.parquet_pages import check_pages
 from ablate.study.scores import is_whole, read_score
 from ablate.study.training import Training
 from ablate.ultrasound import ConvexProbe
@@ -92,6 +94,31 @@ def scores_of_many_rows(folder: Path) -> Callable[[], object]:
 def scores_of_lists(folder: Path) -> Callable[[], object]:
     pq.write_table(pa.table({"value": [[1.0] * 10]}), folder / "psnr@a.parquet")
     return lambda: read_score(folder / "psnr@a.parquet")
+
+
+def signed(number: int) -> bytes:
+    """A number as Thrift's compact protocol has it: its sign is the last bit, and a byte has seven."""
+    value, parts = number << 1, bytearray()
+    while value > 127:
+        parts.append(value & 127 | 128)
+        value >>= 7
+    return bytes([*parts, value])
+
+
+def scores_whose_footer_lies(folder: Path) -> Callable[[], object]:
+    """One text of 100 MB, as its page says, and in the footer sizes as small as the file is."""
+    path = folder / "psnr@a.parquet"
+    table, plainly = pa.table({"metric": ["x" * 100 * MB]}), {"use_dictionary": False, "write_statistics": False}
+    with pq.ParquetWriter(path, table.schema, compression="zstd", store_schema=False, **plainly) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({b"ablate": b'{"scalars": {}, "notes": [], "scored": ""}'})
+    size = pq.read_metadata(path).row_group(0).column(0).total_uncompressed_size
+    content = path.read_bytes()
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    footer = content[start:-8].replace(signed(size), signed(1000))
+    path.write_bytes(content[:start] + footer + struct.pack("<I", len(footer)) + b"PAR1")
+    assert pq.read_metadata(path).row_group(0).total_byte_size == 1000
+    return lambda: read_score(path)
 
 
 def poses(folder: Path) -> Callable[[], object]:
@@ -197,6 +224,7 @@ FILES = {
     archive_of_another_method: r"a\.npz: images\.npy is compressed by method 12; allowed is deflate",
     scores_of_many_rows: r"psnr@a\.parquet cannot be read: .*unpacks to 335,544,320 bytes",
     scores_of_lists: r"psnr@a\.parquet cannot be read: value is list<.*>; allowed are numbers and text",
+    scores_whose_footer_lies: r"metric: its pages unpack to 104,857,6\d\d bytes; its footer says 1,000",
     poses: r"poses\.npy: not readable as \.npy",
     picture_of_a_training: r"a\.png: unpacks to 324,000,000 bytes",
     text_beside_a_volume: r"a\.nii\.gz: not readable: .*unpacks to 314,572,800 bytes",
@@ -238,3 +266,25 @@ def test_a_long_text_that_many_scores_share_is_held_once(tmp_path: Path) -> None
         read_score(path)
     assert is_whole(path)
     assert len(str(raised.value)) < 1000
+
+
+def test_the_pages_of_a_whole_file_are_followed_however_it_is_written(tmp_path: Path) -> None:
+    """Dictionaries, statistics, checksums, several pages and groups, both versions of pages, absent values."""
+    table = pa.table(
+        {
+            "metric": ["psnr", "mae", None, "x" * 300] * 5000,
+            "value": np.random.default_rng(0).random(20_000),
+            "frame": np.arange(20_000) % 9,
+        }
+    )
+    ways: list[dict[str, Any]] = [
+        {"use_dictionary": True, "write_page_checksum": True, "data_page_size": 1000},
+        {"use_dictionary": False, "data_page_version": "2.0", "row_group_size": 777, "compression": "gzip"},
+        {"use_dictionary": ["metric"], "compression": "none", "data_page_version": "2.0", "write_page_index": True},
+    ]
+    for number, how in enumerate(ways):
+        path = tmp_path / f"{number}.parquet"
+        pq.write_table(table, path, **how)
+        check_pages(path, pq.read_metadata(path))
+    pq.write_table(table.slice(0, 0), path)
+    check_pages(path, pq.read_metadata(path))

@@ -15,6 +15,7 @@ import unicodedata
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from enum import Enum, StrEnum
 from functools import cache
 from numbers import Integral, Real
@@ -78,14 +79,18 @@ class Setting:
     declared: Declaration
 
     @property
+    def choices(self) -> tuple[str, ...]:
+        """The names of which its value is one; empty where it is a number or any text."""
+        is_enum = isinstance(self.kind, type) and issubclass(self.kind, StrEnum)
+        return tuple(self.kind) if is_enum else self.declared.choices
+
+    @property
     def allowed(self) -> str:
         """The values that are allowed, in words."""
         numbers = {int: "whole numbers", float: "numbers"}
         kinds = get_args(self.kind) if get_origin(self.kind) is tuple else (self.kind,)
-        if isinstance(self.kind, type) and issubclass(self.kind, StrEnum):
-            words = ", ".join(self.kind)
-        elif self.declared.choices:
-            words = ", ".join(self.declared.choices)
+        if self.choices:
+            words = ", ".join(self.choices)
         elif kinds[0] in numbers:
             many = f"{len(kinds)} " if len(kinds) > 1 else ""
             words = f"{many}{numbers[kinds[0]]} {self.declared.range()}".rstrip()
@@ -140,12 +145,7 @@ def check_settings(values: Any) -> None:
 
 def check_values(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
     """Those of the values that a dataclass declares, as their types; a ValueError as of `check_settings`."""
-    checked = {}
-    for one in _declared(cls):
-        if one.name not in values:
-            continue
-        checked[one.name] = checked_value(one, values[one.name])
-    return checked
+    return {one.name: checked_value(one, values[one.name]) for one in _declared(cls) if one.name in values}
 
 
 def checked_value(one: Setting, value: Any) -> Any:
@@ -155,7 +155,8 @@ def checked_value(one: Setting, value: Any) -> Any:
     try:
         return _checked(one, value)
     except ValueError:
-        raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
+        hint = did_you_mean(value, one.choices)
+        raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}{hint}") from None
 
 
 def _checked(one: Setting, value: Any) -> Any:
@@ -239,6 +240,13 @@ def flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 def shown(value: object) -> str:
     """Represent a value in a message, shortened where it is long."""
     return " ".join(_REPR.repr(value).split())
+
+
+def did_you_mean(wrong: object, names: Collection[str]) -> str:
+    """The name that a wrong one may stand for, as the end of a message; empty where none is like it."""
+    by_lower = {name.lower(): name for name in names}
+    near = get_close_matches(str(wrong)[:LONGEST_NAME].lower(), by_lower, n=1, cutoff=0.7)
+    return f"; did you mean {by_lower[near[0]]}?" if near else ""
 
 
 @contextmanager

@@ -45,9 +45,9 @@ class CellSweeper(Sweeper):
     composing the jobs to the launcher.
     """
 
-    def __init__(self, max_batch_size: int | None = None, params: Any = None, swept: Any = None) -> None:
+    def __init__(self, max_batch_size: int | None = None, params: Any = None, **of_jobs: Any) -> None:
         self.max_batch_size, self.params = max_batch_size, params
-        del swept  # for the jobs: see `sweep`
+        del of_jobs  # `swept` and `source`, for the jobs: see `sweep`
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Make the launcher that the command line names."""
@@ -59,10 +59,12 @@ class CellSweeper(Sweeper):
     def sweep(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
         """Launch the jobs, in batches of `max_batch_size`; what a job raised is raised here.
 
-        Each job is told which keys are swept, because its label names them, wherever it is composed.
+        Each job is told which keys are swept, because its label names them, wherever it is composed; and by which code
+        the command runs, as a job that begins later, in another process, may find other files.
         """
         from ablate.command.compose import cells, refuse_other_launcher, swept_keys
         from ablate.command.composed import composed
+        from ablate.study.source_code import loaded_digest
 
         HydraConfig.instance().set_config(self.config)  # as Hydra does for a job
         jobs = cells(self.config.hydra.sweeper.params, arguments)
@@ -72,7 +74,8 @@ class CellSweeper(Sweeper):
             for job in jobs:
                 chosen = [word for word in job if word.partition("=")[0] in keys]
                 refuse_other_launcher(self.config, composed([*self.config.hydra.overrides.hydra, *job]), chosen)
-        jobs = [[*job, f"hydra.sweeper.swept=[{swept}]"] for job in jobs]
+        told = [f"hydra.sweeper.swept=[{swept}]", f"hydra.sweeper.source='{loaded_digest()}'"]
+        jobs = [[*job, *told] for job in jobs]
         size = self.max_batch_size or len(jobs)
         batches = []
         for start in range(0, len(jobs), size):

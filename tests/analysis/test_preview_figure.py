@@ -35,6 +35,11 @@ def pose_at(origin: tuple[float, float, float], z: tuple[float, float, float], x
     return pose
 
 
+def unit(*vector: float) -> tuple[float, float, float]:
+    x, y, z = np.asarray(vector) / np.linalg.norm(vector)
+    return x, y, z
+
+
 FRONT = pose_at((0, -60, 0), (0, 1, 0), (1, 0, 0))
 
 
@@ -118,6 +123,27 @@ def test_the_figure_holds_body_image_and_segmentation(tmp_path: Path) -> None:
     lower = picture[410:700, 1000:1380]
     muscle = tissue_colours(body().tissues)[1]
     assert (np.abs(lower - muscle).max(axis=-1) < 0.01).mean() > 0.4
+
+
+def test_nothing_is_cut_off_or_written_over_whatever_the_body_and_the_view(tmp_path: Path) -> None:
+    """A margin of the page is white all around, and so is what lies between the body and the images."""
+    shape = 40, 56
+    mask = fan_mask(PROBE, shape)
+    image = (200 * mask).astype(np.uint8)
+    others = [Structure(sphere(3, (5 * i, 0, 0)), tissue) for i, tissue in enumerate(list(TISSUES.values())[:28])]
+    labels = mask * (1 + np.arange(40 * 56).reshape(shape) % 28).astype(np.uint8)
+    turned = pose_at((60, -60, -60), unit(-1, 1, 1), unit(1, 1, 0))
+    flat = trimesh.creation.box(bounds=((-300, -68, -60), (300, 90, 60)))
+    tall = trimesh.creation.box(bounds=((-60, -68, -400), (60, 90, 400)))
+    for number, (mesh, pose) in enumerate(itertools.product((flat, tall), (FRONT, turned))):
+        scene = Scene((Structure(mesh, TISSUES["muscle"]), *others), TISSUES["coupling_gel"], "box")
+        assert len(scene.tissues) >= 28
+        path = tmp_path / f"{number}.png"
+        preview_figure(path, "frame", scene, PROBE, pose, image, labels, SiteGrid())
+        dark = imread(path)[..., :3].min(axis=-1) < 0.5
+        height, width = dark.shape
+        assert not any(edge.any() for edge in (dark[:3], dark[-3:], dark[:, :3], dark[:, -3:]))
+        assert not dark[: round(0.85 * height), round(0.605 * width) : round(0.615 * width)].any()
 
 
 @pytest.mark.parametrize("name", ["a$\\frac{b$", "$", "$x$", "5 $ or 6 $", "$\\nope$", "$_$"])

@@ -31,6 +31,30 @@ GOOD = {
 }
 
 
+def warned(caplog: pytest.LogCaptureFixture, folder: Path) -> list[str]:
+    caplog.clear()
+    load_scene(folder)
+    return [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+
+
+def test_what_scene_yaml_does_not_name_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Meshes and volumes, also beside a file of a folder within; not what is neither, hidden, or part of a mesh."""
+    write(tmp_path, structures=[{"mesh": "skin.obj", "tissue": "fat"}, {"mesh": "in/liver.stl", "tissue": "graft"}])
+    (tmp_path / "in").mkdir()
+    (tmp_path / "liver.stl").rename(tmp_path / "in" / "liver.stl")
+    for name in ("skin.mtl", "._skin.obj", "notes.txt", "in/readme.md"):
+        (tmp_path / name).touch()
+    assert not warned(caplog, tmp_path)
+    (tmp_path / "in" / "spleen.glb").touch()
+    assert warned(caplog, tmp_path) == [f"{tmp_path}: not in scene.yaml, so left out: in/spleen.glb"]
+    assert not warned(caplog, tmp_path)
+    (tmp_path / "segmentations").mkdir()
+    for name in ("ct.nii.gz", "labels.NRRD", "segmentations/kidney.nii.gz"):
+        (tmp_path / name).touch()
+    listed = "ct.nii.gz, in/spleen.glb, labels.NRRD and 1 more"
+    assert warned(caplog, tmp_path) == [f"{tmp_path}: not in scene.yaml, so left out: {listed}"]
+
+
 def write(folder: Path, **changes: object) -> Path:
     trimesh.creation.box((10, 10, 10)).export(folder / "skin.obj")
     trimesh.creation.icosphere(radius=3.0).export(folder / "liver.stl")
@@ -121,7 +145,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, changes: dict[str, o
 def test_what_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
         load_scene(tmp_path / "nowhere")
-    with pytest.raises(FileNotFoundError, match=r"no scene\.yaml"):
+    with pytest.raises(FileNotFoundError, match=r"has no scene\.yaml; task=describe proposes one"):
         load_scene(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"structures\[0\]\.mesh: no file .*gone\.obj"):
         load_scene(write(tmp_path, **structure(mesh="gone.obj")))

@@ -134,4 +134,9 @@ def test_a_folder_without_scene_yaml_gets_a_proposal(tmp_path: Path, capsys: pyt
     (tmp_path / "scene.yaml").write_text(capsys.readouterr().out)
     assert validate_scene_folder(tmp_path).meshes[0][1].name == "liver"
     assert describe(jobs) == 0
-    assert "receptive field" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "receptive field" in said
+    assert "not in scene.yaml" not in said
+    (tmp_path / "kidney.PLY").write_bytes((tmp_path / "liver.ply").read_bytes())
+    assert describe(jobs) == 0
+    assert capsys.readouterr().out.endswith(f"{tmp_path}: not in scene.yaml, so left out: kidney.PLY\n")

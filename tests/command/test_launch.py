@@ -247,6 +247,23 @@ def test_each_study_of_a_sweep_is_compared_at_its_end_where_no_launcher_saw_all_
     assert compared == [("one", Task.compare), ("two", Task.compare)]
 
 
+def test_a_job_that_another_process_composes_knows_by_which_code_its_command_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The files change after the first job has begun; what a job reads of them is not what its command began with."""
+    sources: list[str] = []
+
+    def do(jobs: Sequence[Job], _: object) -> int:
+        sources.append(jobs[0].source)
+        monkeypatch.setattr("ablate.study.source_code._LOADED", "later")
+        return 0
+
+    monkeypatch.setattr("ablate.tasks.entry._do", do)
+    monkeypatch.setattr("ablate.study.source_code._LOADED", "0123456789012e45")  # no number, though it looks like one
+    assert execute(["-m", "preset=tiny", "seed=0,1", "hydra/launcher=basic", f"runs_dir={tmp_path}"]) == 0
+    assert sources[:2] == ["0123456789012e45"] * 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
 def test_launchers_of_others_run_each_job_and_then_the_study_is_compared(launcher: str, tmp_path: Path) -> None:

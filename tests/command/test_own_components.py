@@ -15,14 +15,17 @@ from ablate.tasks.entry import execute
 
 FILE = "key: training.reconstruction\non: crps\noff: l1\nmetric: crps\nband: 0.8\n"
 MALFORMED = {
-    "a metric that there is not": (FILE.replace("metric: crps", "metric: crsp"), "metric=crsp: did you mean crps?"),
-    "a slip in a key": (FILE.replace("band", "bnad"), "unknown key 'bnad'; did you mean band?"),
+    "a metric that there is not": (FILE.replace("metric: crps", "metric: crsp"), "; did you mean crps?"),
+    "a slip in a key": (FILE.replace("band", "bnad"), "; did you mean band?"),
     "no band": (FILE.replace("band: 0.8\n", ""), "has both a metric and a band"),
     "no metric": (FILE.replace("metric: crps\n", ""), "has both a metric and a band"),
     "a band of nothing": (FILE.replace("0.8", "0"), "band=0: allowed are finite numbers above 0"),
     "a band in words": (FILE.replace("0.8", "small"), "band='small': allowed are finite numbers above 0"),
     "no key": (FILE.replace("key: training.reconstruction\n", ""), "'key'"),
-    "a key that there is not": (FILE.replace("reconstruction", "reconstructoin"), "is no key of the configuration"),
+    "a key that there is not": (
+        FILE.replace("reconstruction", "reconstructoin"),
+        "; did you mean training.reconstruction?",
+    ),
     "a level that there is not": (
         FILE.replace("crps\noff", "crsp\noff"),
         "reconstruction='crsp': allowed are l1, crps",

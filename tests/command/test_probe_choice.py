@@ -107,7 +107,8 @@ def test_what_makes_the_pulse_the_noise_and_the_gain_is_part_of_the_data_and_the
     assert len(known) == 1 + len(words)
     text = description(jobs_of(["variant=sa2h"]))
     assert (
-        "pulse of 3 MHz: 1.23 mm along, two pixels, where it is 0.32 mm; 1.59 mm across at 70 mm; 2.45 mm out" in text
+        "pulse of 3 MHz: 1.23 mm along (two pixels; of a finer image 0.32 mm); 1.59 mm across at 70 mm; 2.45 mm out"
+        in text
     )
 
 

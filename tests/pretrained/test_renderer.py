@@ -119,7 +119,7 @@ def test_a_setting_that_is_no_more_does_not_keep_a_file_from_loading(tmp_path: P
 
 
 def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"sa3h: no trained generator, allowed are .*sa2h"):
+    with pytest.raises(ValueError, match=r"sa3h: no trained generator, allowed are .*; did you mean sa2h\?"):
         ablate.load("sa3h")
     (tmp_path / "damaged.pt").write_bytes(b"PK\x03\x04 and nothing else")
     with pytest.raises(ValueError, match=r"damaged\.pt: not a file of a trained generator"):

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -11,6 +12,7 @@ from ablate.analysis import RESIMULATION, StudyResults
 from ablate.command.compose import jobs_of
 from ablate.metrics import METRICS_VERSION
 from ablate.study.comparable import ComparableRuns, comparable_runs, with_earlier
+from ablate.study.compare import compare_study
 from ablate.study.job import Job, trainings_of
 from ablate.study.reading import results_of, scored_frames, table_of_runs
 from ablate.study.run import COMPARISON, Run, RunList, listed_runs, write_list
@@ -150,3 +152,27 @@ def test_one_job_joins_the_comparison_of_its_study_and_a_sweep_is_one_of_its_own
     assert compared("variant=sa2h-att", "training.steps=7") == ["sa2h-att/seed0"], "no label tells the steps"
     assert compared("-m", "variant=sa2h,nsa2h") == ["sa2h/seed0", "nsa2h/seed0"]
     assert compared("-m", "variant=sa2h,sa2h-att") == ["sa2h/seed0", "sa2h-att/seed0"]
+
+
+def test_scores_on_disk_are_compared_whatever_the_command_names(tmp_path: Path) -> None:
+    """And only these: a metric by other code, on other frames, or that was never scored, stays without a value."""
+
+    def asked(variant: str, metrics: str) -> list[Job]:
+        return jobs_of([f"variant={variant}", f"metrics=[{metrics}]", "preset=tiny", f"runs_dir={tmp_path}"])
+
+    def compared(variant: str, metrics: str) -> pd.DataFrame:
+        study = compare_study(listed_runs(asked(variant, metrics)), "a study", time_here=False).study
+        return study.table.pivot(index="variant", columns="metric", values="mean")
+
+    for variant, mae in (("nsa2h", 8.0), ("sa2h", 9.0)):
+        finish(asked(variant, "psnr,mae,pchi2")[0], {"psnr": 20.0, "mae": mae, "pchi2": 1.0})
+    finish(asked("sa2h-att", "psnr")[0], {"psnr": 21.0})
+    for file in asked("sa2h", "psnr")[0].training.scores.glob("pchi2@*"):
+        file.rename(file.with_name(file.name.replace("@v", "@v9")))
+    compared("nsa2h", "psnr,mae,pchi2")
+    table = compared("sa2h", "psnr")
+    assert table.loc["sa2h", ["psnr", "mae"]].tolist() == [20.0, 9.0]
+    assert np.isnan(table.loc["sa2h", "pchi2"])
+    table = compared("sa2h-att", "psnr")
+    assert table["mae"].drop("sa2h-att").to_dict() == {"nsa2h": 8.0, "sa2h": 9.0}
+    assert np.isnan(table.loc["sa2h-att", "mae"])

@@ -10,6 +10,7 @@ import trimesh
 from matplotlib.image import imread
 from PIL import Image, ImageSequence
 
+from ablate.command.labels import frame_words
 from ablate.dataset import open_pairs
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError
@@ -58,7 +59,7 @@ def test_what_is_written_is_enough_to_make_the_frame_again(
     np.save(tmp_path / "one.npy", np.load(tmp_path / "slide.npy")[:1])
     run("task=render", f"pose={tmp_path / 'one.npy'}", *arguments)
     folder = Path(capsys.readouterr().out.strip())
-    assert folder == tmp_path / "runs" / "render" / "ball-one"
+    assert folder == tmp_path / "runs" / "render" / "ball-one.image_shape-64_89.preset-tiny"
     made_with = json.loads((folder / "settings.json").read_text())
     from ablate.anatomy import load_scene
 
@@ -72,6 +73,42 @@ def test_what_is_written_is_enough_to_make_the_frame_again(
     probe = probe_from(made_with["probe"])
     width = 2 * (probe.radius_mm + probe.depth_mm) * np.sin(np.deg2rad(probe.fov_deg) / 2)
     assert 89 * made_with["pixel_mm"]["width"] == pytest.approx(width)
+
+
+def test_gain_brightens_the_picture_alone_and_stands_in_the_name_of_its_folder(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Between black and white 6 dB are a tenth of 60 dB; the envelope before the gain stays, and so do the maps."""
+    images, envelopes, folders = [], [], []
+    for gain in ([], ["gain_db=6"]):
+        run("task=render", "frame=7", "simulator.dynamic_range_db=60", *gain, *arguments)
+        folders.append(Path(capsys.readouterr().out.strip()))
+        images.append(np.array(Image.open(folders[-1] / "image.png"), float))
+        with np.load(folders[-1] / "frame.npz") as held:
+            envelopes.append(held["envelope"])
+    assert [folder.name for folder in folders] == [
+        "ball-frame_7.dynamic_range_db-60.image_shape-64_89.preset-tiny",
+        "ball-frame_7.dynamic_range_db-60.gain_db-6.image_shape-64_89.preset-tiny",
+    ]
+    between = (images[0] > 60) & (images[0] < 180)
+    assert between.sum() > 100
+    assert np.median((images[1] - images[0])[between]) == pytest.approx(255 * 6 / 60, abs=1)
+    assert np.array_equal(*envelopes)
+    assert json.loads((folders[1] / "settings.json").read_text())["gain_db"] == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ([], ""),
+        (["probe=linear", "probe.depth_mm=60", "gain_db=-6"], "depth_mm-60.gain_db--6.probe-linear"),
+        (["simulator.rays=8", "simulator.rays=64", "scene.anatomy_seed=3"], "anatomy_seed-3.rays-64"),
+        (["task=render", "plane=head", "scene=folder", "scene.folder=/a/b", "runs_dir=c", "model.depth=6"], ""),
+        (["simulator.time_gain_db=[0,1.5,2.5,3.5,4.5,5.5,6.5,7.5]"], ""),
+    ],
+)
+def test_a_folder_is_called_by_what_is_typed_of_its_frame(words: list[str], name: str) -> None:
+    assert frame_words(words) == name
 
 
 def test_one_pose_is_a_cine_of_one_frame_in_dicom(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -191,5 +228,7 @@ def test_dropped_poses_are_counted_told_and_kept_with_the_data(
     assert "9 probe poses at 9 sites; dropped 9: 9 the fan misses the region of interest; 9 of 12 frames" in (
         told.out + told.err
     )
+    of_moved = [line for line in told.err.splitlines() if line.startswith("simulate test frames after a motion")]
+    assert of_moved, "they are not counted as frames of the data set"
     with pytest.raises(ConfigurationError, match="frame=9: allowed are 0 to 8"):
         run("task=preview", "frame=9", f"runs_dir={tmp_path / 'runs'}", *TINY, *where)

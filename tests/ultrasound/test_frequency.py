@@ -168,8 +168,9 @@ def test_no_width_in_the_image_is_finer_than_two_pixels_and_it_is_said() -> None
     probe, settings = LinearProbe(40.0, 100.0, 12.0), SimulatorSettings(**FREE, image_shape=(100, 50))
     own, seen = physical_widths(probe, settings), pulse_widths(probe, settings)
     assert seen == (2.0, 1.6, own.elevational_mm)
-    assert "2.00 mm along, two pixels, where it is 0.08 mm; 1.60 mm across at 70 mm, two pixels" in pulse_in_words(
-        probe, settings
+    assert (
+        "2.00 mm along (two pixels; of a finer image 0.08 mm); 1.60 mm across at 70 mm (two pixels"
+        in pulse_in_words(probe, settings)
     )
     assert pulse_widths(probe, replace(settings, image_shape=(10_000, 5_000))) == own
     finer = replace(settings, axial_fwhm_mm=0.5, lateral_fwhm_mm=0.25, elevational_fwhm_mm=3.0)  # what is set, is

@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,9 +24,10 @@ from ablate.dataset import read_poses
 from ablate.settings.study import ConfigurationError, Task
 from ablate.sources.prepare import simulator_of
 from ablate.sources.source import source_of
-from ablate.ultrasound import Simulator
+from ablate.ultrasound import Display, Simulator
 from ablate.viewer.calipers import in_plane
 from ablate.viewer.pictures import Window
+from ablate.viewer.session import ViewerState
 from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
 from support.viewed_body import free_port, until
@@ -168,6 +170,7 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     client.set("Depth (mm)", 100)
     client.until(lambda: viewer.session.state.probe.depth_mm == 100)
     client.set("Dynamic range (dB)", 45.0)
+    client.set("Gain (dB)", 6.0)
     viewer.session.new_speckle()  # its seed is that of a data set with other training poses, and so another time gain
     settle(client, viewer)
     viewer.session.freeze(True)
@@ -191,7 +194,9 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     settings = simulator_of(
         job.settings, job.data, viewer.page.scene, source_of(job.settings).scene()[1], saved.pose[None]
     )
-    frame = Simulator(viewer.page.scene, saved.probe, settings).render(saved.pose, saved.seed)
+    simulator, shown = Simulator(viewer.page.scene, saved.probe, settings), Display(gain_db=job.settings.gain_db)
+    assert shown.gain_db == 6
+    frame = simulator.render(saved.pose, saved.seed, shown)
     np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), frame.image)
     viewer.session.freeze(False)
     viewer.session.reset()
@@ -358,6 +363,24 @@ def test_the_network_that_the_command_line_names_is_the_one_that_generators_may_
         with pytest.raises(Stop):
             Viewer(jobs_of([*arguments, port, *words])[0].settings)
         assert named == [target, target]
+
+
+def test_it_starts_with_the_gain_of_the_command_line(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    starts: list[ViewerState] = []
+
+    class Stop(Exception):
+        pass
+
+    def stop(*given: Any) -> None:
+        starts.append(given[2])
+        raise Stop
+
+    monkeypatch.setattr("ablate.viewer.task.first_fitting", stop)
+    monkeypatch.setattr("ablate.viewer.task.SceneRenderer", lambda *_: SimpleNamespace(render=None))
+    with pytest.raises(Stop):
+        Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", "gain_db=-4.5"])[0].settings)
+    assert starts[0].display == Display(gain_db=-4.5)
+    assert starts[0].seed == 0
 
 
 def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:

@@ -8,6 +8,7 @@ from .scene import bounds_mm as bounds_mm
 from .scene_folder import load_scene as load_scene
 from .scene_folder import load_sites as load_sites
 from .scene_folder import mesh_files as mesh_files
+from .scene_folder import said_of_unnamed as said_of_unnamed
 from .scene_folder import validate_scene_folder as validate_scene_folder
 from .scene_proposal import proposed_scene as proposed_scene
 from .site_grid import SiteGrid as SiteGrid

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,12 +18,17 @@ from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
+from ablate.anatomy.volumes.volume_file import SUFFIXES
 from ablate.setting import naming, shown
 
+logger = logging.getLogger(__name__)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "labels", "structures", "tissues", "sites")
 SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
 TISSUE_KEYS = tuple(field.name for field in fields(Tissue) if field.name != "name")
+
+MASKS = "segmentations"  # the folder of TotalSegmentator's masks, beside their image
+_SHOWN = 3  # names of files in a line
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
     path = folder / "scene.yaml"
     if not path.is_file():
-        raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
+        raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml; task=describe proposes one")
     content = values.mapping(values.read_yaml(path), f"{path}", SCENE_KEYS)
     mm_per_unit = UNITS_MM[values.one_of(content.get("unit", "mm"), UNITS_MM, f"{path}: unit")]
     tissues = _tissues(content.get("tissues") or {}, path)
@@ -88,6 +95,31 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)
 
 
+def said_of_unnamed(folder: Path, checked: SceneFolder) -> str:
+    """A sentence on the meshes and volumes that its scene.yaml does not name; empty where there is none.
+
+    They are those beside it, beside a file that it names, and masks as TotalSegmentator places them.
+    """
+    named = {file.resolve() for file in checked.files}
+    places = {folder, folder / MASKS, *(file.parent for file in checked.files)}
+    beside = {path for place in places if place.is_dir() for path in place.iterdir()}
+    others = sorted(
+        path.relative_to(folder).as_posix()
+        for path in beside
+        if path.name.lower().endswith((*MESH_SUFFIXES, *SUFFIXES))
+        and not path.name.startswith(".")
+        and path.resolve() not in named
+    )
+    more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
+    return f"{folder}: not in scene.yaml, so left out: {', '.join(others[:_SHOWN])}{more}" if others else ""
+
+
+@cache
+def _warn_once(text: str) -> None:
+    """A study reads its scene when it simulates, and when it times networks."""
+    logger.warning("%s", text)
+
+
 def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
     """Read a scene folder: its meshes are repaired and closed, in mm; labels become surfaces, in mm of their affine.
 
@@ -106,6 +138,8 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
     from ablate.anatomy.meshes.repair import load_mesh
 
     checked = validate_scene_folder(folder)
+    if unnamed := said_of_unnamed(Path(folder), checked):
+        _warn_once(unnamed)
     path = Path(folder) / "scene.yaml"
     structures = tuple(Structure(load_mesh(mesh, checked.mm_per_unit), tissue) for mesh, tissue in checked.meshes)
     scene = Scene(structures, checked.background, checked.name)

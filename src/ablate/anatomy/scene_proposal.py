@@ -12,13 +12,11 @@ from jinja2 import Template
 from ablate.anatomy.meshes.check import BODY_MM
 from ablate.anatomy.meshes.repair import load_mesh
 from ablate.anatomy.scene import bounds_mm
-from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM, mesh_files, mesh_space
+from ablate.anatomy.scene_folder import MASKS, MESH_SUFFIXES, UNITS_MM, mesh_files, mesh_space
 from ablate.anatomy.scene_values import file_named
 from ablate.anatomy.tissue_names import place_of_tissue, tissue_of_name
 from ablate.anatomy.volumes.labels_proposal import proposed_labels
 from ablate.anatomy.volumes.volume_file import SUFFIXES
-
-_MASKS = "segmentations"  # the folder of TotalSegmentator's masks, beside their image
 
 
 def proposed_scene(folder: Path) -> str:
@@ -57,8 +55,8 @@ def _candidates(folder: Path) -> tuple[list[str], list[str]]:
     """The names of what may be meshes and volumes, by their endings."""
     names = sorted(path.name for path in folder.iterdir())
     meshes = [name for name in names if Path(name).suffix.lower() in MESH_SUFFIXES]
-    if (folder / _MASKS).is_dir():
-        names += sorted(f"{_MASKS}/{path.name}" for path in (folder / _MASKS).iterdir())
+    if (folder / MASKS).is_dir():
+        names += sorted(f"{MASKS}/{path.name}" for path in (folder / MASKS).iterdir())
     return meshes, [name for name in names if name.lower().endswith(SUFFIXES)]
 
 

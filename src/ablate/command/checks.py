@@ -3,7 +3,6 @@
 import os
 import tempfile
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 
 import torch
@@ -12,11 +11,11 @@ from ablate.anatomy import load_tissues
 from ablate.dataset import label_values
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Family, Space, check_custom
-from ablate.setting import shown
+from ablate.setting import did_you_mean, shown
 from ablate.settings.components import components, shown_file
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, StudySettings, Task, refusing
-from ablate.sources.source import source_of
+from ablate.sources.source import Source, source_of
 from ablate.study.job import Job
 from ablate.study.training import trainings_in
 from ablate.training import TrainingPrecision
@@ -42,6 +41,7 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         if task in _NEED_SCENE and not source.has_scene:
             scenes = "allowed are scene=fetal and folder"
             raise ConfigurationError(f"task={task}: pairs made elsewhere have no scene; {scenes}")
+        _check_plane(settings, source)
         _check_training(job, source.check(job.label), {other.label for other in jobs}, source.has_scene)
         _check_metrics(settings)
     if task in _JUDGING:
@@ -58,6 +58,19 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             folders |= {job.folder for job in jobs if not job.training.is_trained}
         for folder in filter(Path.exists, folders):
             _check_writable(folder)
+
+
+def _check_plane(s: StudySettings, source: Source) -> None:
+    """Refuse a plane that the scene has not. Of a folder, what `task=view` can start from is known when it is read."""
+    if s.plane is None:
+        return
+    planes = source.planes()
+    if not planes and s.task is Task.render:
+        allowed = "allowed are pose and frame"
+        raise ConfigurationError(f"plane={s.plane}: scene={s.scene.kind} has no planes; {allowed}")
+    if planes and s.plane not in planes:
+        hint = did_you_mean(s.plane, planes)
+        raise ConfigurationError(f"plane={s.plane}: allowed are {', '.join(planes)}{hint}")
 
 
 def _check_training(job: Job, seen: int, labels: set[str], has_scene: bool) -> None:
@@ -87,7 +100,8 @@ def _check_training(job: Job, seen: int, labels: set[str], has_scene: bool) -> N
             raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
     known = {*labels, *variant_names(), *(str(t.about.get("label")) for t in trainings_in(s.study_dir))}
     if s.reference not in known:
-        raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
+        hint = did_you_mean(s.reference, known)
+        raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}{hint}")
 
 
 def _check_components(jobs: Sequence[Job]) -> None:
@@ -95,10 +109,9 @@ def _check_components(jobs: Sequence[Job]) -> None:
     known = {*METRICS, *(name for job in jobs for name in choose_metrics(job.settings.metrics))}
     for component in components():
         if component.metric is not None and component.metric not in known:
-            meant = get_close_matches(component.metric, known, n=1)
-            hint = f"did you mean {meant[0]}? " if meant else ""
             allowed = f"allowed are {', '.join(METRICS)}, and one of yours that metrics= names"
-            raise ConfigurationError(f"{shown_file(component.name)}: metric={component.metric}: {hint}{allowed}")
+            hint = did_you_mean(component.metric, known)
+            raise ConfigurationError(f"{shown_file(component.name)}: metric={component.metric}: {allowed}{hint}")
 
 
 def _check_metrics(s: StudySettings) -> None:
@@ -109,7 +122,8 @@ def _check_metrics(s: StudySettings) -> None:
         raise ConfigurationError(f"metrics={', '.join(sorted(chosen))}: name one that every image has too, as psnr")
     scores = [f"{part}/{name}" for part in ("val", "test") for name in chosen]
     if s.objective is not None and s.objective not in scores:
-        raise ConfigurationError(f"objective={s.objective}: allowed are {', '.join(scores)}")
+        hint = did_you_mean(s.objective, scores)
+        raise ConfigurationError(f"objective={s.objective}: allowed are {', '.join(scores)}{hint}")
     where = s.evaluation.inception
     asked = [s.metrics] if isinstance(s.metrics, str) else s.metrics
     named = [name for name, metric in METRICS.items() if metric.uses(FeatureKind.inception) and name in asked]

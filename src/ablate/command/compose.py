@@ -127,7 +127,8 @@ def refuse_other_launcher(master: DictConfig, job: DictConfig, words: Sequence[s
         theirs, ours = (OmegaConf.to_container(config.hydra[node], resolve=False) for config in (job, master))
         assert isinstance(theirs, dict)
         assert isinstance(ours, dict)
-        if {**theirs, "swept": None} != {**ours, "swept": None}:
+        of_jobs = {"swept": None, "source": None}
+        if {**theirs, **of_jobs} != {**ours, **of_jobs}:
             chosen = f"hydra/{node} ({job.hydra.runtime.choices[f'hydra/{node}']}) or its settings"
             reason = f"one {node} is for all jobs of a sweep: type both beside -m"
             raise ConfigurationError(f"{' '.join(words)}: a file chooses {chosen}; {reason}")

@@ -22,6 +22,8 @@ _IN_NO_LABEL = frozenset({"model.target", "seed", "training.seed"})
 _LIKE_A_COMPONENT = ("training.loss",)
 _SIZE = "model.width"  # of all networks of a study alike, unless it is swept
 _OF_SCORES = "evaluation."  # these settings decide scores, and no weights
+_OF_FRAMES = ("scene.", "probe.", "simulator.", "dataset.seed", "dataset.press_mm")
+_LONGEST_VALUE = 24  # in the name of a folder
 
 
 def changed_keys(
@@ -156,6 +158,23 @@ def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
         variant = str(settings.model.target).rpartition(".")[2]
     named = sorted(f"{_name_of(key)}-{value}" for key, value in changed.items())
     return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
+
+
+def frame_words(words: Sequence[str]) -> str:
+    """What words of a command line change of how a frame is made, for the name of its folder: `depth_mm-60.gain_db-6`.
+
+    Long values, such as lists of many numbers, are left out.
+    """
+    changed = {o.key_or_group: o.get_value_element_as_str() for o in parsed(words) if o.key_or_group in _frame_keys()}
+    named = {key: re.sub(r"[^A-Za-z0-9.+_-]+", "_", value).strip("_") for key, value in changed.items()}
+    return ".".join(sorted(f"{_name_of(key)}-{value}" for key, value in named.items() if len(value) <= _LONGEST_VALUE))
+
+
+@cache
+def _frame_keys() -> frozenset[str]:
+    """The keys and groups that decide a frame beside its scene's folder and its pose, which are named anyway."""
+    own = (key for key in keys() if key.startswith(_OF_FRAMES) and key not in ("scene.kind", "scene.folder"))
+    return frozenset(("preset", "probe", "gain_db", *own))
 
 
 def _name_of(key: str) -> str:

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException, ValidationError
@@ -11,7 +10,7 @@ from yaml import YAMLError
 
 from ablate.command.words import with_a_point
 from ablate.extras import installing
-from ablate.setting import shown
+from ablate.setting import did_you_mean, shown
 from ablate.settings.conf import CUSTOM, conf_folder, keys, unknown_key
 from ablate.settings.study import ConfigurationError
 
@@ -75,7 +74,7 @@ def _of_a_group(words: Sequence[str]) -> str:
         group, _, value = word.partition("=")
         names = sorted(path.stem for path in (conf_folder() / group).glob("*.yaml")) if group else []
         if names and value not in names:
-            return f"{word}: allowed are {', '.join(names)}"
+            return f"{word}: allowed are {', '.join(names)}{did_you_mean(value, names)}"
     return ""
 
 
@@ -92,7 +91,7 @@ def _explained(error: Exception) -> str:
     unknown_choice = r"Could not find '(.+)/([^/]+)'\s+Available options in '.+?':(.*?)\n\s*Config search"
     if choice := re.search(unknown_choice, str(error), re.S):
         names = choice[3].split()
-        return f"{choice[1]}={choice[2]}: allowed are {', '.join(names)}{_meant(choice[2], names)}"
+        return f"{choice[1]}={choice[2]}: allowed are {', '.join(names)}{did_you_mean(choice[2], names)}"
     if several := re.search(r"Ambiguous value for argument '(.*)'", str(error)):
         return f"'{several[1]}' asks for several jobs: add -m"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
@@ -107,22 +106,18 @@ def _explained(error: Exception) -> str:
     return _unknown_key(cause, text) or text.removeprefix("Error merging override ")
 
 
-def _meant(word: str, names: Sequence[str]) -> str:
-    """The name that a wrong one may stand for, as a question; empty where none is like it."""
-    near = get_close_matches(word, names, 1)
-    return f"; did you mean {near[0]}?" if near else ""
-
-
 def _of_another_type(cause: ValidationError, text: str) -> str:
     """A value that is not of its setting's type, with what is allowed; empty where the setting is not known."""
     key = str(cause.full_key or "")
-    if key not in keys():
-        return ""
+    if key not in keys():  # as probe.kind, which is that of its keys
+        of_enum = re.search(r"value '(.*)', expected one of \[(.*)\]", str(cause))
+        names = of_enum[2].split(", ") if of_enum else []
+        return f"{key}={of_enum[1]}: allowed are {of_enum[2]}{did_you_mean(of_enum[1], names)}" if of_enum else ""
     typed = re.search(rf"override {re.escape(key)}=(.*)", text) or re.search(r"[vV]alue '(.*?)'", str(cause))
     value = typed[1] if typed else "..."
     whole = re.fullmatch(r"[-+]?\d+(\.\d*)?(e\+?\d+)?", value, re.IGNORECASE)
     hint = f"; type {key}={float(value):.0f}" if keys()[key].kind is int and whole and float(value) % 1 == 0 else ""
-    return f"{key}={value}: allowed are {keys()[key].allowed}{hint}"
+    return f"{key}={value}: allowed are {keys()[key].allowed}{hint}{did_you_mean(value, keys()[key].choices)}"
 
 
 def _unknown_key(cause: BaseException, text: str) -> str:

@@ -106,7 +106,7 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     return render
 
 
-def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0) -> int:
+def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0, what: str = "simulate") -> int:
     """Fill what is missing of a data set; shards that another process makes meanwhile are waited for.
 
     Parameters
@@ -119,6 +119,8 @@ def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: 
         Those that are wanted.
     workers : int
         How many processes make them; 0 is one a core.
+    what : str
+        Stands before the count of frames that are done.
 
     Returns
     -------
@@ -142,7 +144,7 @@ def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: 
         elif wanted == 1:
             yield from fill_pairs(pairs, maps, frame_simulator(recipe, pairs))
 
-    return fill_all(pairs, maps, "simulate", fill)
+    return fill_all(pairs, maps, what, fill)
 
 
 def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int) -> Iterator[int]:

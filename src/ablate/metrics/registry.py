@@ -14,7 +14,7 @@ import numpy as np
 
 from ablate import metrics as package
 from ablate.metrics.metric import BASELINE_PREFIXES, FeatureKind, Metric, MovedPair, Pair, Shown, is_bound
-from ablate.setting import check_name
+from ablate.setting import check_name, did_you_mean
 from ablate.user_code import code_digest, load
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
@@ -134,7 +134,7 @@ def needs_inception(metrics: Mapping[str, Metric]) -> bool:
 def _imported(path: str) -> Metric:
     """A user's metric, known from now on to tables, figures and statistics."""
     if "." not in path:
-        raise ValueError(f"metrics={path}: {_allowed()}")
+        raise ValueError(f"metrics={path}: {_allowed()}{did_you_mean(path, (*METRIC_SETS, *METRIC_SETS['all']))}")
     try:
         named = load(path)
         code_digest(path)  # read now: a file that is edited later is not what runs

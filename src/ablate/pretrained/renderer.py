@@ -14,7 +14,7 @@ from ablate import dataset
 from ablate.anatomy import Tissue, load_tissues
 from ablate.networks import Generator, GeneratorSpec, Space, conditions, read_stored, stored_generator
 from ablate.pretrained.other_settings import trained_with
-from ablate.setting import plain, settings_of
+from ablate.setting import did_you_mean, plain, settings_of
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
 from ablate.ultrasound import Beam, Frame, Probe, SimulatorSettings, scan_converter
@@ -160,7 +160,9 @@ def load(name: str | Path, custom: str | None = None) -> Renderer:
     path = _FOLDER / f"{name}.pt" if name in NAMES else Path(name)
     if not path.is_file():
         files = "files such as network.pt among the artifacts of a run in MLflow"
-        raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and {files}")
+        raise ValueError(
+            f"{name}: no trained generator, allowed are {', '.join(NAMES)} and {files}{did_you_mean(name, NAMES)}"
+        )
     try:
         content: dict[str, Any] = read_stored(path)
         target = dict(content["spec"]).get("target")

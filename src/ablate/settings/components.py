@@ -5,7 +5,6 @@ What a study was registered with stands in conf/registered where the files say o
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
@@ -15,8 +14,8 @@ import yaml
 
 from ablate.analysis.components import Component, Question
 from ablate.networks.spec import ExtraInput, GeneratorSpec, Noise, inputs
-from ablate.setting import checked_value, naming, shown
-from ablate.settings.conf import conf_folder, keys
+from ablate.setting import checked_value, did_you_mean, naming, shown
+from ablate.settings.conf import conf_folder, keys, nearest
 from ablate.settings.study import ConfigurationError, refusing
 
 # The order of tables and figures; components that are not listed follow by name.
@@ -127,9 +126,8 @@ def _component(name: str, own: dict[str, Any]) -> Component:
     """The component that a file declares; a ValueError says what is wrong with it."""
     allowed = [one.name for one in dataclasses.fields(Component) if one.name != "name"]
     if unknown := [key for key in own if key not in allowed]:
-        meant = get_close_matches(unknown[0], allowed, n=1)
-        hint = f"did you mean {meant[0]}? " if meant else ""
-        raise ValueError(f"unknown key {shown(unknown[0])}; {hint}allowed are {', '.join(allowed)}")
+        hint = did_you_mean(unknown[0], allowed)
+        raise ValueError(f"unknown key {shown(unknown[0])}: allowed are {', '.join(allowed)}{hint}")
     if texts := [n for n in ("key", "label", "purpose", "metric") if not isinstance(own.get(n, ""), str)]:
         raise ValueError(f"{texts[0]}={shown(own[texts[0]])}: allowed is text")
     for size in ("band", "share"):
@@ -140,13 +138,15 @@ def _component(name: str, own: dict[str, Any]) -> Component:
         raise ValueError("a component that is judged has both a metric and a band, and another one neither")
     question = own.get("question", Question.earns)
     if question not in tuple(Question):
-        raise ValueError(f"question={shown(question)}: allowed are {', '.join(Question)}")
+        hint = did_you_mean(question, list(Question))
+        raise ValueError(f"question={shown(question)}: allowed are {', '.join(Question)}{hint}")
     on = own.get("on")
     values = own | {"on": tuple(on) if isinstance(on, list) else on, "question": Question(question)}
     component = Component(name, **values)
     known = keys()
     if component.key not in known and not component.key.startswith(OF_OWN_NETWORK):
-        raise ValueError(f"key={component.key} is no key of the configuration, such as model.noise")
+        hint = f"; did you mean {meant}?" if (meant := nearest(component.key)) else ", such as model.noise"
+        raise ValueError(f"key={component.key} is no key of the configuration{hint}")
     for level in (*component.levels_on, component.off):
         if level is not None and component.key in known:
             checked_value(known[component.key], level)

@@ -21,7 +21,7 @@ from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
 from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, composed_letters, setting, shown
 from ablate.training.settings import TrainingSettings
-from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
+from ablate.ultrasound.settings import MOST_GAIN_DB, ConvexProbe, Probe, SimulatorSettings
 
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
 _NO_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"})
@@ -219,6 +219,14 @@ class StudySettings(Checked):
         is_path=True,
     )
     plane: str | None = setting(None, "Standard plane of scene=fetal to show or to start from.", incidental=True)
+    gain_db: float = setting(
+        0.0,
+        "Gain of the picture that task=render shows and that task=view starts with; no data set has it.",
+        least=-MOST_GAIN_DB,
+        most=MOST_GAIN_DB,
+        unit="dB",
+        incidental=True,
+    )
     runs: str | None = setting(
         None,
         "A run, a study or studies whose generators task=view offers; null is runs_dir.",
@@ -232,6 +240,9 @@ class StudySettings(Checked):
         shown_at = self.task in (Task.render, Task.view)
         if (self.pose or self.plane) and (not shown_at or (self.pose and self.plane)):
             raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render or view")
+        if self.gain_db and not shown_at:
+            what = "it is of a picture alone; a data set has simulator.reference_level"
+            raise ValueError(f"gain_db={self.gain_db:g}: allowed with task=render or view, as {what}")
         if self.runs and self.task is not Task.view:
             raise ValueError(f"runs={self.runs}: allowed with task=view; where results lie is runs_dir")
         if self.study_name is not None:

@@ -161,8 +161,7 @@ def simulate_data(
     """
     scene, grid = place
     layout = lay_out(settings, scene, grid)
-    training = layout.poses[layout.split == Part.train]
-    simulator = with_patient_gain(scene, settings.probe, settings.simulator, training)
+    simulator = with_patient_gain(scene, settings.probe, settings.simulator, layout.poses[layout.split == Part.train])
     left_out = list(plan_scene(scene, settings.probe, simulator, layout.poses).left_out)
     asked = settings.dataset.frames
     lacking = asked - len(layout.poses)
@@ -200,6 +199,7 @@ def simulate_data(
     )
     frames = dataset.PlacedFrames(layout.poses, layout.sites, layout.split, mask)
     # the frames after motions first: where the data set has been laid out, they have been too
-    for placed, place_of in ((moved, folder / MOVED_FOLDER), (frames, folder)):
+    of_moved = "simulate test frames after a motion", moved, folder / MOVED_FOLDER
+    for what, placed, place_of in (of_moved, ("simulate", frames, folder)):
         pairs = dataset.create_pairs(place_of, placed, stored_as, about)
-        dataset.simulate_pairs(made_with, pairs, maps, settings.dataset.workers)
+        dataset.simulate_pairs(made_with, pairs, maps, settings.dataset.workers, what)

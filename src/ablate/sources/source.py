@@ -11,7 +11,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from ablate.setting import shown
+from ablate.setting import did_you_mean, shown
 from ablate.settings.study import ConfigurationError, StudySettings
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def source_of(settings: StudySettings) -> Source:
     """The source that `scene.kind` names; a kind that there is not is a ConfigurationError."""
     kind = settings.scene.kind
     if kind not in kinds():
-        raise ConfigurationError(f"scene.kind={shown(kind)}: allowed are {', '.join(kinds())}")
+        hint = did_you_mean(kind, kinds())
+        raise ConfigurationError(f"scene.kind={shown(kind)}: allowed are {', '.join(kinds())}{hint}")
     source: type[Source] = import_module(f"ablate.sources.kinds.{kind}").SOURCE
     return source(settings)

@@ -12,7 +12,7 @@ from ablate.settings.components import components
 from ablate.settings.study import StudySettings
 from ablate.study.job import Job, differences, identity_key
 from ablate.study.run import Run, RunList, read_list
-from ablate.study.scores import definition_in, metric_in
+from ablate.study.scores import definition_in, is_whole, metric_in
 from ablate.training.settings import TRAINING_VERSION
 from ablate.ultrasound.settings import SIMULATOR_VERSION
 
@@ -119,6 +119,21 @@ def with_earlier(asked: RunList) -> RunList:
                 unread=tuple(entry for entry in kept.unread if not str(entry["training"]).startswith(replaced)),
             )
     return asked
+
+
+def with_scores_on_disk(asked: RunList) -> RunList:
+    """The runs, each also with the scores that it has on disk, and another of them shows, though no command names them.
+
+    They are of the same definition and frames. So a run that lacks a value of a metric was not scored by it.
+    """
+    shown = dict.fromkeys((metric_in(name), definition_in(name)) for run in asked.runs for name in run.score_names)
+    runs = []
+    for run in asked.runs:
+        own = {metric_in(name) for name in run.score_names}
+        more = (f"{metric}@{how}-{run.pixels}.parquet" for metric, how in shown if metric not in own)
+        found = tuple(name for name in more if is_whole(run.training.scores / name))
+        runs.append(replace(run, score_names=(*run.score_names, *found)))
+    return replace(asked, runs=tuple(runs))
 
 
 def _counted_once(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:

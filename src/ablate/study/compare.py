@@ -17,7 +17,7 @@ from ablate.metrics import METRICS, FeatureKind, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
 from ablate.settings.study import ConfigurationError
 from ablate.storage import digest, digest_of_files, held, known_json, write_json
-from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, with_earlier
+from ablate.study.comparable import ComparableRuns, comparable_runs, levels_of, with_earlier, with_scores_on_disk
 from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
 from ablate.study.reading import provenance
@@ -68,6 +68,7 @@ def compare_study(
     with held(asked.folder / ".comparison.lock", "compares this study"):
         if not rebuild:
             asked = with_earlier(asked)
+        asked = with_scores_on_disk(asked)
         usable = comparable_runs(asked)
         failed = time_networks(asked.folder, usable.all, named, asked.reference) if time_here else ""
         return _compare(asked, usable, title, rebuild, failed)

@@ -22,6 +22,7 @@ from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
 from ablate.setting import shown
 from ablate.storage import check_unpacked, remove_partial, written_whole
+from ablate.study.parquet_pages import check_pages
 from ablate.user_code import code_digest, load
 
 _METADATA = b"ablate"
@@ -160,7 +161,7 @@ def read_score(path: Path) -> Score:
 
 
 def _checked(path: Path) -> pa.Schema:
-    """The columns of a file whose footer declares no more than may be unpacked, and whose values are plain."""
+    """The columns of a file that declares, in its footer and its pages, no more than may be unpacked; all are plain."""
     with pq.ParquetFile(path) as file:
         about, schema = file.metadata, file.schema_arrow
     plain = (pa.types.is_string, pa.types.is_integer, pa.types.is_floating)
@@ -169,6 +170,7 @@ def _checked(path: Path) -> pa.Schema:
             raise ValueError(f"{column.name} is {column.type}; allowed are numbers and text")
     stored = sum(about.row_group(number).total_byte_size for number in range(about.num_row_groups))
     check_unpacked(path, max(stored, about.num_rows * about.num_columns * _BYTES_OF_A_VALUE))
+    check_pages(path, about)
     return schema
 
 

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import hydra
@@ -20,6 +21,7 @@ from ablate.command.refusals import in_one_line, with_hint
 from ablate.command.schema import register
 from ablate.command.search import said_of_search
 from ablate.command.words import readable
+from ablate.setting import did_you_mean
 from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError, Task
 from ablate.study.job import Job
@@ -85,6 +87,7 @@ def run_one(config: DictConfig) -> float | None:
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
         swept = [str(key) for key in (hydra_config.sweeper.get("swept") or hydra_config.sweeper.get("params") or ())]
         job = job_of(_words(hydra_config, "task"), swept if is_sweep else (), config=config)
+        job = replace(job, source=hydra_config.sweeper.get("source") or job.source)  # that of the command
         code = _do([job], Launch(start_here, compares=not is_sweep))
     except Exception as error:
         if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
@@ -161,7 +164,8 @@ def objective(job: Job) -> float | None:
 
     scalars = run_of(job).scalars if job.finished else {}
     if name not in scalars:
-        raise ConfigurationError(f"objective={name}: {job.name} has no such score; allowed are {', '.join(scalars)}")
+        allowed = f"allowed are {', '.join(scalars)}{did_you_mean(name, scalars)}"
+        raise ConfigurationError(f"objective={name}: {job.name} has no such score; {allowed}")
     return float(scalars[name])
 
 

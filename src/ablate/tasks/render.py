@@ -10,15 +10,16 @@ from PIL import Image
 
 from ablate.analysis import preview_figure
 from ablate.anatomy import Scene
+from ablate.command.labels import frame_words
 from ablate.dataset import Pairs, Part, read_poses
-from ablate.setting import plain
+from ablate.setting import LONGEST_NAME, plain
 from ablate.settings.study import ConfigurationError, ExportFormat, StudySettings, refusing
 from ablate.sources.prepare import frames_of, simulator_of
 from ablate.sources.source import source_of
 from ablate.storage import known_json, write_image, write_json, written_whole
 from ablate.study.job import Job
 from ablate.tasks.export import check_dicom
-from ablate.ultrasound import SIMULATOR_VERSION, Frame, SimulatorSettings, simulators_of
+from ablate.ultrasound import SIMULATOR_VERSION, Display, Frame, SimulatorSettings, simulators_of
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.pulse import pulse_widths
 from ablate.user_code import code_digest
@@ -40,12 +41,13 @@ def render(jobs: Sequence[Job]) -> int:
         named = f"frame_{settings.frame}", np.asarray(frames.poses[settings.frame])[None]
     name, poses = named
     chosen = simulator_of(settings, job.data, scene, grid, poses)
-    made_with = _made_with(settings, chosen, scene, poses)
-    folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
+    made_with, display = _made_with(settings, chosen, scene, poses), Display(gain_db=settings.gain_db)
+    called = ".".join(filter(None, (f"{settings.scene_name}-{name}", frame_words(job.words))))[:LONGEST_NAME]
+    folder = _folder_of(settings.results / "render" / called, made_with)
     simulator = simulators_of(settings.scene.target)(scene, settings.probe, chosen, poses=poses)
     images = []
     for i, pose in enumerate(poses):
-        frame = simulator.render(pose, seed=settings.dataset.seed)  # as a data set would hold it
+        frame = simulator.render(pose, settings.dataset.seed, display)  # but for the gain, as a data set holds it
         attenuation = np.rint(frame.attenuation * 65535).astype(np.uint16)  # PNGs are as `scene=pairs` reads them
         pictures = {"image": frame.image, "segmentation": frame.segmentation, "attenuation": attenuation}
         for kind, values in pictures.items():
@@ -88,14 +90,7 @@ def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
     if settings.pose:
         return Path(settings.pose).stem, read_poses(Path(settings.pose), "pose")[0]
     if settings.plane:
-        planes = source_of(settings).planes()
-        if not planes:
-            raise ConfigurationError(
-                f"plane={settings.plane}: scene={settings.scene.kind} has no planes; allowed are pose and frame"
-            )
-        if settings.plane not in planes:
-            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(planes)}")
-        return settings.plane, planes[settings.plane][None]
+        return settings.plane, source_of(settings).planes()[settings.plane][None]
     check_frame(settings.frame, len(job.data.pairs) if job.data.exists else settings.dataset.frames)
     return None
 
@@ -113,6 +108,7 @@ def _made_with(
         "simulator": plain(simulator),
         "pulse_mm": dict(pulse_widths(settings.probe, simulator)._asdict()),
         "simulator_version": SIMULATOR_VERSION,
+        "gain_db": settings.gain_db,
         "seed": settings.dataset.seed,
         "poses": poses.tolist(),
         "pixel_mm": {"height": height_mm, "width": width_mm},

@@ -68,4 +68,11 @@ def describe(jobs: Sequence[Job]) -> int:
     print(f"maps simulated for {', '.join(dict.fromkeys(j.label for j in jobs))}: {', '.join(sorted(read))}")
     if "low" not in read:
         print("left out: low, the low-quality image; none of these variants reads it")
+    if folder and source_of(settings).has_scene:
+        from ablate.anatomy import said_of_unnamed, validate_scene_folder
+
+        with refusing():
+            unnamed = said_of_unnamed(Path(folder), validate_scene_folder(folder))
+        if unnamed:
+            print(unnamed)
     return 0

@@ -186,7 +186,7 @@ def _notes(scene: Scene, near: np.ndarray, used: np.ndarray, media: Media, setti
         notes.append(f"scatterers of tissues not in reach: {', '.join(absent)}")
     silent = [scene.tissues[i].name for i in used if not scene.tissues[i].scatter_power]
     if 0 < len(silent) < len(used):
-        notes.append(f"scatterers of samples without any: {', '.join(silent)}")
+        notes.append(f"scatterers where a tissue has none: {', '.join(silent)}")
     unneeded = {
         "refraction: all speeds of sound agree": not media.refracts,
         "reflection and roulette: all impedances and speeds agree": not media.differs[np.ix_(used, used)].any(),

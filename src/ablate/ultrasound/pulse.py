@@ -65,7 +65,7 @@ def pulse_in_words(probe: Probe, settings: SimulatorSettings) -> str:
     places = "along", f"across at {settings.focus_mm:g} mm", "out of the plane"
     parts = []
     for place, width_mm, own_mm, set_mm in zip(places, widths, own, _set_widths(settings), strict=True):
-        finer = f", two pixels, where it is {own_mm:.2f} mm" if width_mm > own_mm else ""
+        finer = f" (two pixels; of a finer image {own_mm:.2f} mm)" if width_mm > own_mm else ""
         parts.append(f"{width_mm:.2f} mm {place}{finer if set_mm is None else ', as set'}")
     return f"pulse of {probe.frequency_mhz:g} MHz: {'; '.join(parts)}"
 

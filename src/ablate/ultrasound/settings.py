@@ -8,10 +8,12 @@ from enum import StrEnum
 from functools import partial
 from typing import Any, ClassVar
 
-from ablate.setting import Checked, check_settings, setting, shown
+from ablate.setting import Checked, check_settings, did_you_mean, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 12
+#: That an operator can add to the gain of a picture, or take away.
+MOST_GAIN_DB = 100.0
 
 
 class PlanMode(StrEnum):
@@ -274,7 +276,7 @@ def probe_from(values: Mapping[str, Any]) -> Probe:
     given = {name: value for name, value in values.items() if value is not None}
     kind = given.pop("kind", ProbeKind.convex)
     if kind not in PROBES:
-        raise ValueError(f"kind={shown(kind)}: allowed are {', '.join(PROBES)}")
+        raise ValueError(f"kind={shown(kind)}: allowed are {', '.join(PROBES)}{did_you_mean(kind, PROBES)}")
     cls = PROBES[ProbeKind(kind)]
     allowed = [field.name for field in fields(cls)]
     for name, value in given.items():

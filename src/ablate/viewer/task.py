@@ -15,11 +15,12 @@ import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, structure_names
 from ablate.dataset import equally_spaced, place_probe, read_poses
+from ablate.setting import did_you_mean
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.sources.simulated import training_poses
 from ablate.sources.source import source_of
 from ablate.study.job import Job
-from ablate.ultrasound import TimeGain
+from ablate.ultrasound import Display, TimeGain
 from ablate.viewer.generators import first_fitting, pickable
 from ablate.viewer.hand import Hand
 from ablate.viewer.page.browser import add_script, widths
@@ -73,7 +74,8 @@ class Viewer:
             gain_poses = training_poses(settings, scene, grid, gain_poses)
         custom = settings.model.target
         self.worker = Worker(SceneRenderer(scene, gain_poses, custom).render)
-        start = ViewerState(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
+        display = Display(gain_db=settings.gain_db)
+        start = ViewerState(np.eye(4), settings.probe, settings.simulator, display, settings.dataset.seed)
         start = replace(start, runs=first_fitting(pickable(runs), scene.tissues, start, custom))
         self.session = Session(hand, start, poses, self.worker.submit)
         go_to_start(self.session, settings)
@@ -150,7 +152,8 @@ def go_to_start(session: Session, settings: StudySettings) -> None:
     elif settings.plane:
         name = settings.plane.replace("_", " ")
         if name not in session.presets:
-            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(session.presets)}")
+            hint = did_you_mean(name, session.presets)
+            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(session.presets)}{hint}")
         session.to_preset(name)
 
 

@@ -2,11 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 import trimesh
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from skimage.transform import resize
 
@@ -29,6 +32,7 @@ _IMAGE_ROWS = 200  # that an image is brought to before it is put on the fan
 _OVERLAP = 0.5  # of its size that each of its pixels reaches over the next ones: no seams are seen between them
 _MARGIN_MM = 2.0
 _AMBIENT = 0.35  # the rest of a colour's brightness follows the angle to the camera
+_FITS = 4  # labels keep their size, so each of them comes nearer
 _VEILED = 0.3  # of its opacity is left to what lies before the image plane
 
 
@@ -84,6 +88,41 @@ def draw_body(
     space.set_box_aspect(tuple(high - low), zoom=_ZOOM)  # not an array, which would be changed
     space.locator_params(nbins=4)
     space.tick_params(pad=2)
+
+
+def fit_body(space: Axes3D, room: Bbox) -> None:
+    """Move 3-D axes, and make them as large as fits, so that their box, ticks and labels lie in some room.
+
+    Parameters
+    ----------
+    space : Axes3D
+        As `draw_body` leaves them.
+    room : Bbox
+        In shares of the figure.
+    """
+    figure = space.figure
+    canvas = FigureCanvasAgg(figure)
+    for surface in space.collections:
+        surface.set_visible(False)  # it lies in the box
+    for _ in range(_FITS):
+        canvas.draw()  # where labels lie is known then
+        taken = _taken(space, canvas.get_renderer()).transformed(figure.transFigure.inverted())
+        place = space.get_position()
+        larger = min(room.width / taken.width, room.height / taken.height)
+        middle, centre, wanted = (np.array(box.p0 + box.p1) / 2 for box in (place, taken, room))
+        corner = wanted + larger * (middle - centre - place.size / 2)
+        space.set_position((*corner, *(larger * place.size)))
+    for surface in space.collections:
+        surface.set_visible(True)
+
+
+def _taken(space: Axes3D, renderer: Any) -> Bbox:
+    """What the box of 3-D axes takes of the figure with its ticks and labels, in pixels."""
+    corners = np.array(list(product(space.get_xlim(), space.get_ylim(), space.get_zlim(), [1.0])))
+    flat = corners @ space.get_proj().T
+    seen = space.transData.transform(flat[:, :2] / flat[:, 3:])
+    box = Bbox([seen.min(axis=0), seen.max(axis=0)])
+    return Bbox.union([box, *(axis.get_tightbbox(renderer) for axis in (space.xaxis, space.yaxis, space.zaxis))])
 
 
 def image_quads(probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

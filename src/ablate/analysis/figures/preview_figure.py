@@ -1,5 +1,6 @@
 """One frame with the probe that saw it: the body in 3-D, beside it the image and its segmentation."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.transforms import Bbox
 
-from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body
+from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, fit_body
 from ablate.analysis.figures.scene_parts import Colour, tissue_colours
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import Scene, SiteGrid
@@ -17,6 +19,8 @@ from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_of
 
 _HEIGHT = 0.64  # of the figure, over its width
+_ROOM = Bbox([(0.01, 0.01), (0.6, 0.92)])  # of the body, in shares of the figure
+_COLUMNS = 4  # of the legend
 _OUTSIDE: Colour = (0.0, 0.0, 0.0)
 
 
@@ -58,6 +62,7 @@ def preview_figure(
         figure = Figure(figsize=(PAGE_IN, _HEIGHT * PAGE_IN))
         space = figure.add_axes((0.03, 0.0, 0.58, 0.58 / _HEIGHT), projection="3d", proj_type="ortho")
         draw_body(space, scene, probe, pose, image, segmentation > 0, grid.axis)
+        fit_body(space, _ROOM)
         _draw_compass(figure, space, grid)
         upper = figure.add_axes((0.69, 0.61, 0.3, 0.355))
         lower = figure.add_axes((0.69, 0.205, 0.3, 0.355))
@@ -71,9 +76,9 @@ def preview_figure(
             handles=patches,
             frameon=False,
             loc="upper right",
-            bbox_to_anchor=(1.0, 0.13),
-            ncols=4,
-            fontsize=6,
+            bbox_to_anchor=(1.0, 0.135),
+            ncols=_COLUMNS,
+            fontsize=min(6, 27 / math.ceil(len(patches) / _COLUMNS)),  # so many points fit below the images
             handlelength=0.8,
             handleheight=0.8,
             columnspacing=0.8,

@@ -15,12 +15,11 @@ from ablate.ultrasound.imaging.compounding import shares, steered_sets
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
 from ablate.ultrasound.imaging.speckle import Lines, Speckle
 from ablate.ultrasound.scan_conversion import ScanConverter
-from ablate.ultrasound.settings import Probe, SimulatorSettings
+from ablate.ultrasound.settings import MOST_GAIN_DB, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.time_gain import time_gain_db
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
-_MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 
 
@@ -45,8 +44,8 @@ class Display:
     def __post_init__(self) -> None:
         object.__setattr__(self, "tgc_db", tuple(float(value) for value in self.tgc_db))
         for name, value in (("gain_db", self.gain_db), *(("tgc_db", value) for value in self.tgc_db)):
-            if not abs(value) <= _MOST_DB:  # NaN too
-                raise ValueError(f"{name}={value:g}: allowed are numbers from {-_MOST_DB:g} to {_MOST_DB:g}")
+            if not abs(value) <= MOST_GAIN_DB:  # NaN too
+                raise ValueError(f"{name}={value:g}: allowed are numbers from {-MOST_GAIN_DB:g} to {MOST_GAIN_DB:g}")
         self.applied_to(SimulatorSettings())  # which checks the range
 
     def gain_at(self, depth: np.ndarray) -> np.ndarray:

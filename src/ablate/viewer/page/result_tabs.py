@@ -94,7 +94,10 @@ def add_keep_tab(page: Page) -> None:
         simulator = replace(state.simulator, time_gain_db=views.time_gain_db)
         if state.display is not None and state.display.dynamic_range_db:
             simulator = replace(simulator, dynamic_range_db=state.display.dynamic_range_db)
-        command.value = command_line(seeded, replace(state, simulator=simulator), "task=render", f"pose={pose}")
+        words = ["task=render", f"pose={pose}"]
+        if state.display is not None and state.display.gain_db:
+            words.append(f"gain_db={state.display.gain_db:g}")
+        command.value = command_line(seeded, replace(state, simulator=simulator), *words)
 
     def switch(records: bool) -> None:
         if records:
