@@ -1,6 +1,7 @@
 """Files of the user's own that a command starts from or sweeps over count as what is typed does."""
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,10 @@ PRIMARY = "defaults:\n  - config\n  - _self_\nseed: 7\ntraining: {steps: 4}\n"
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Asked:
+def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Asked]:
     """The jobs that the program makes of a command line, whoever launches them; nothing is started."""
+    root = logging.getLogger()
+    before, level = [*root.handlers], root.level
 
     def call(*arguments: str) -> list[Job]:
         found: list[Job] = []
@@ -36,7 +39,11 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Asked:
         assert execute(["--config-dir", str(tmp_path), *arguments, "task=plan"]) == 0
         return found
 
-    return call
+    yield call
+    for handler in {*root.handlers} - {*before}:  # Hydra's own, of a primary file that was saved
+        root.removeHandler(handler)
+        handler.close()
+    root.setLevel(level)
 
 
 @pytest.mark.parametrize("launcher", ["processes", "basic"])
