@@ -30,6 +30,7 @@ answer: $(STAMP) ## which components earn their keep, from the runs that docs/re
 	$(BIN)/python scripts/results.py restore
 	$(BIN)/python -m ablate task=compare study_name=full_model
 	$(BIN)/python -m ablate task=compare study_name=extension
+	$(BIN)/python -m ablate task=compare study_name=components
 	$(BIN)/python scripts/results.py table
 
 answer-anew: $(STAMP) ## the same with this version of ablate: 61 trainings and 36 of the extension; resumable

@@ -17,6 +17,7 @@ STUDY = "components"
 CONTROL = ("fd_speckle", "octave_sd", "psnr", "mae_smooth", "pchi2_tissue")
 SCALE = ("psnr", "mae_smooth", "pchi2_tissue")
 FULL, REFERENCE = "full", "sa2h"
+NAMES = {FORMULA: "formula", RESIMULATED: "re-simulation"}
 
 
 def lines(folder: Path) -> Iterator[str]:
@@ -26,8 +27,8 @@ def lines(folder: Path) -> Iterator[str]:
     yield "### Positive control, and the maps of a ray walk"
     yield pipe_table(("renderer", "trainings", *(metric_of(name).title for name in CONTROL)), rows(means))
     yield (
-        "Means over trainings, in both anatomies alike; each baseline reads the maps of the network above it. On the "
-        "scale 0 is the formula and 1 re-simulation:"
+        "Means over trainings, in both anatomies alike; each formula reads the maps of the network above it. On the "
+        "scale 0 is the formula and 1 re-simulation; a dash is where the formula itself is past re-simulation:"
     )
     yield pipe_table(("network", *(metric_of(name).label for name in SCALE)), scale_rows(means))
 
@@ -50,7 +51,7 @@ def rows(means: pd.DataFrame) -> list[list[str]]:
     """Each network, its formula and its re-simulation."""
     found = []
     for (network, source), row in means.iterrows():
-        name = network if source == MODEL else f"{source} of {network}"
+        name = network if source == MODEL else f"{NAMES[source]} of {network}"
         scores = [f"{row[metric]:.{metric_of(metric).decimals}f}" for metric in CONTROL]
         found.append([str(name), f"{row['runs']:.0f}" if source == MODEL else "–", *scores])
     return found
@@ -61,6 +62,11 @@ def scale_rows(means: pd.DataFrame) -> list[list[str]]:
     found = []
     for network in means.index.unique("network"):
         model, formula, best = (means.loc[(network, source)] for source in (MODEL, FORMULA, RESIMULATED))
-        shares = [scale_length(m, formula[m], model[m]) / scale_length(m, formula[m], best[m]) for m in SCALE]
-        found.append([network, *(f"{share:.2f}" for share in shares)])
+        found.append([network, *(_share(metric, model[metric], formula[metric], best[metric]) for metric in SCALE)])
     return found
+
+
+def _share(metric: str, model: float, formula: float, best: float) -> str:
+    """How much of the way from the formula to re-simulation; a dash where the formula is as good as re-simulation."""
+    whole = scale_length(metric, formula, best)
+    return f"{scale_length(metric, formula, model) / whole:.2f}" if whole > 0 else "–"

@@ -331,7 +331,7 @@ def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType
 def test_the_scale_of_a_network_is_that_of_its_own_maps() -> None:
     page = importlib.import_module("components_page")
     scalars = {"fd_speckle": (1.0, 2.0, 0.0), "octave_sd": (0.5, 2.0, 0.1), "psnr": (22.0, 20.0, 24.0)}
-    scalars |= {"mae_smooth": (10.0, 18.0, 8.0), "pchi2_tissue": (0.1, 0.2, 0.1)}
+    scalars |= {"mae_smooth": (10.0, 18.0, 8.0), "pchi2_tissue": (0.1, 2.0, -1.0)}
 
     def made(label: str, data: str, more: float) -> Run:
         values = {}
@@ -345,4 +345,5 @@ def test_the_scale_of_a_network_is_that_of_its_own_maps() -> None:
     assert means.loc[("sa2h", "model"), "mae_smooth"] == 12.0, "of both anatomies alike: (10 + 12) / 2 and 13"
     assert means.loc[("sa2h", "model"), "runs"] == 3
     table = {row[0]: row[1:] for row in page.scale_rows(means)}
-    assert table == {"sa2h": ["1.00", "0.60", "-19.00"], "full": ["0.00", "1.00", "21.00"]}
+    assert table == {"sa2h": ["1.00", "0.60", "-0.03"], "full": ["0.00", "1.00", "1.30"]}
+    assert page._share("psnr", model=25.0, formula=24.0, best=22.0) == "–", "the formula is past re-simulation"

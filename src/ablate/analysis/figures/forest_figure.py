@@ -129,7 +129,7 @@ def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
         verdict = Verdict(row["verdict"])
         word = verdict.replace("_", " ")
         if row["question"] == Question.saves and verdict is Verdict.undecided:
-            word = "undecided (saves?)"
+            word = "undecided\n(saves?)"
         axes.text(0.03, place, word, va="center", weight="bold", color=COLOURS[verdict])
         time = _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0)
         axes.text(0.66, place, time, ha="right", va="center")
