@@ -86,7 +86,7 @@ bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 a
 	$(BIN)/python benchmarks/scaling.py $(ARGS)
 
 precision: $(STAMP) ## measure docs/numerics.md again; RUNS=folder of trained runs, PRESET=theirs, PATIENT=scene folder
-	$(BIN)/python scripts/numerics.py $(if $(RUNS),--runs $(RUNS)) $(if $(PRESET),--preset $(PRESET)) $(if $(PATIENT),--patient $(PATIENT))
+	$(BIN)/python scripts/numerics.py $(if $(RUNS),--runs $(RUNS)) $(if $(PRESET),--preset $(PRESET)) $(if $(PATIENT),--patient $(PATIENT)) $(ARGS)
 
 bench-inference: $(STAMP) ## ms and memory of a generated frame by engine, precision and width; ARGS="--variant lsa2h --size 250 346"
 	$(BIN)/python benchmarks/inference.py $(ARGS)

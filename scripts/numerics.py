@@ -78,6 +78,8 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
 def draw_kept() -> None:
     """Draw the figures from the CSV files of the page."""
     for suffix, rays in RAYS.items():
+        if not (DOCS / f"precision{suffix}.csv").exists():  # not measured yet
+            continue
         points = pd.read_csv(DOCS / f"precision{suffix}.csv", dtype={"setting": str})
         with TemporaryDirectory() as folder:
             for path in draw(points, rays, Path(folder), "processor B (docs/processors.md)")[0]:
@@ -108,7 +110,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="holds the trained runs (runs_dir)")
     parser.add_argument("--preset", default="quick", help="what they were trained with")
     parser.add_argument("--patient", type=Path, help="a scene folder; left out without")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[part for part in PARTS if part != "teacher"])
     parser.add_argument("--draw", action="store_true", help="draw the figures again from the CSV files")
     args = parser.parse_args()
     if args.draw:
