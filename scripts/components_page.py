@@ -22,7 +22,7 @@ NAMES = {FORMULA: "formula", RESIMULATED: "re-simulation"}
 
 def lines(folder: Path) -> Iterator[str]:
     """Paragraphs of the page, of a kept study's folder, into which figures are written."""
-    yield from study_lines(folder, first=True)
+    yield from study_lines(folder, first=False)
     means = run_means(ablate.open_study(folder))
     yield "### Positive control, and the maps of a ray walk"
     yield pipe_table(("renderer", "trainings", *(metric_of(name).title for name in CONTROL)), rows(means))

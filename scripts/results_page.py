@@ -44,6 +44,7 @@ CAPTION = (
     "meaning: does not, if the right end is below 1; otherwise earns, if the left end is above 0. An effect is that "
     "of one change while all else is as in sa2h."
 )
+AS_THERE = "Drawn, judged and tabulated as [there](results.md#full_model)."
 COLUMNS = (
     "An effect is the mean with a component minus the mean without it; the arrow says which values are better. "
     "p (zero) tests that the effect is zero, p (band) that the improvement is at least the band, both corrected over "
@@ -78,10 +79,7 @@ def finished_of(study: str, runs: Sequence[Run]) -> tuple[bool, str]:
 
 
 def study_lines(folder: Path, first: bool) -> Iterator[str]:
-    """What a page says of a kept study, paragraph by paragraph; `first` explains figure and table.
-
-    Figures and `verdicts.csv` are written into the study's folder.
-    """
+    """Paragraphs of a page on a kept study, into whose folder figures go; the `first` explains figure and table."""
     try:
         study = ablate.open_study(folder)
     except FileNotFoundError as error:
@@ -94,7 +92,7 @@ def study_lines(folder: Path, first: bool) -> Iterator[str]:
     answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
     drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        yield f"{drawn['verdicts']}\n\n*{CAPTION if first else 'Drawn and judged as above.'}*"
+        yield f"{drawn['verdicts']}\n\n*{CAPTION if first else AS_THERE}*"
         yield verdict_rows(answers.verdicts, preliminary)
         yield (
             (COLUMNS if first else "") + f"The pooled error has {answers.verdicts['dof'].max():.0f} degrees of freedom"
