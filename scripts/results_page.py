@@ -263,7 +263,8 @@ def own_errors(verdicts: pd.DataFrame) -> str:
 def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
     """A pipe table; the first `words` columns hold words, the others numbers."""
     under = ["---"] * words + ["---:"] * (len(head_cells) - words)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head_cells, under, *rows))
+    first, *others = (f"| {' | '.join(cells)} |" for cells in (head_cells, *rows))
+    return "\n".join([first, f"|{'|'.join(under)}|", *others])
 
 
 def signed(value: float, decimals: int) -> str:
