@@ -62,8 +62,7 @@ def test_the_page_of_the_networks_prints_the_components_as_their_files_are() -> 
         return ", ".join(map(str, names)).replace(f", {names[-1]}", f" or {names[-1]}")
 
     def row(c: Component) -> str:
-        share = "" if c.share is None else f"{c.share:g}"
-        cells = (c.name, f"`{c.key}`", levels(c.levels_on), c.off, c.question, f"`{c.metric}`", share, f"{c.band:g}")
+        cells = (c.name, f"`{c.key}`", levels(c.levels_on), c.off, c.question, f"`{c.metric}`")
         return f"| {' | '.join(map(str, cells))} |"
 
     rows = {row(c) for c in components()}

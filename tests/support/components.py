@@ -1,4 +1,4 @@
-"""The six components of the paper's study as values, with the metrics and bands of docs/study1.md."""
+"""The six components of the paper's study as values, with the metrics and bands of its first study."""
 
 from ablate.analysis import Component
 
