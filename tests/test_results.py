@@ -214,7 +214,8 @@ def test_make_answer_shows_the_kept_results_where_nothing_was_run(
     recipe = (ROOT / "Makefile").read_text().split("\nanswer:", 1)[1].split("\n\n", 1)[0].splitlines()[1:]
     restoring, *comparing, _ = [line.split("$(BIN)/python ")[1] for line in recipe]
     assert restoring == "scripts/results.py restore"
-    assert comparing == [f"-m ablate task=compare study_name={name}" for name in ("full_model", "extension", "components")]
+    studies = ("full_model", "extension", "components")
+    assert comparing == [f"-m ablate task=compare study_name={name}" for name in studies]
     monkeypatch.chdir(tmp_path)
     script.restore()
     with (
