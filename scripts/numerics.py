@@ -19,8 +19,10 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
+from ablate.analysis import error_vs_runtime
 from ablate.metrics import METRICS
-from ablate.numerics.precision.figures import draw
+from ablate.numerics.precision.bench import OTHER_SERIES
+from ablate.numerics.precision.figures import draw, renderers
 from ablate.numerics.precision.task import tables, verdict
 from ablate.numerics.precision.worth import worth
 
@@ -28,6 +30,10 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "numerics.md"
 TEACHER = DOCS / "teachers.md"
 PARTS = ("fetal", "paper", "patient", "teacher", "scaling")
+#: What stands on a figure that is drawn from the CSV files.
+MACHINE = "processor B (docs/processors.md)"
+#: The metrics of README's figure, and what it leaves out: a network's other precision.
+OF_README, LEFT_OUT = ("pchi2", "mae_smooth"), "fp32"
 #: Rays of the data sets, by what the names of figures end with.
 RAYS = {"": 16, "_paper": 32, "_patient": 16, "_teacher": 16}
 #: The paper's sizes, and three times the steps of `quick`; all else is the preset's.
@@ -82,9 +88,23 @@ def draw_kept() -> None:
             continue
         points = pd.read_csv(DOCS / f"precision{suffix}.csv", dtype={"setting": str})
         with TemporaryDirectory() as folder:
-            for path in draw(points, rays, Path(folder), "processor B (docs/processors.md)")[0]:
+            for path in draw(points, rays, Path(folder), MACHINE)[0]:
                 if path.suffix == ".png":
                     shutil.copy(path, DOCS / f"{path.stem}{suffix}.png")
+
+
+def draw_for_readme() -> None:
+    """Draw the renderers of a compounded frame with two metrics only, from the CSV file."""
+    points = pd.read_csv(DOCS / "precision_teacher.csv", dtype={"setting": str})
+    points = points[points["metric"].isin(OF_README)]
+    usual = f"rays {RAYS['_teacher']}"
+    shown = renderers(points, usual)
+    shown = shown[shown["setting"] != LEFT_OUT]
+    resimulated = points[(points["series"] == OTHER_SERIES) & (points["setting"] == usual)]
+    level = dict(zip(resimulated["metric"], resimulated["error"], strict=True))
+    with TemporaryDirectory() as folder:
+        error_vs_runtime(shown, Path(folder) / "worth", level, MACHINE)
+        shutil.copy(Path(folder) / "worth.png", DOCS)
 
 
 def markdown(table: pd.DataFrame) -> str:
@@ -115,6 +135,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.draw:
         draw_kept()
+        draw_for_readme()
         return
     jobs = {
         "fetal": ([f"preset={args.preset}"], args.runs, ""),
@@ -140,6 +161,8 @@ def main() -> None:
             found = {f"{part} {name}": text for name, text in measure(*jobs[part]).items()}
             page = TEACHER if part == "teacher" else PAGE
             page.write_text(fill(page.read_text(), found))
+            if part == "teacher":
+                draw_for_readme()
         if part == "scaling":
             script = DOCS.parent / "benchmarks" / "scaling.py"
             shown = []

@@ -26,6 +26,7 @@ SIMULATOR_COLOUR = "#888888"
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
 _FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
 _TITLE_LETTERS = 60  # of a line above a panel
+_AXIS_LETTERS = 32  # of a line beside it
 
 
 def error_vs_runtime(
@@ -101,10 +102,8 @@ def _draw_panel(
         axes.set_title(lines, fontsize=6, color="#555555")
     side = "below" if judge.better is Direction.higher else "above"
     unit = f" ({judge.unit})" if judge.unit else ""
-    axes.set(
-        xlabel="median time, ms a frame",
-        ylabel=f"{judge.label} {side} re-simulation{unit}" if relative else judge.title,
-    )
+    ordinate = f"{judge.label} {side} re-simulation{unit}" if relative else judge.title
+    axes.set(xlabel="median time, ms a frame", ylabel=textwrap.fill(ordinate, _AXIS_LETTERS))
     axes.set_xlim(left=0.0)
     axes.margins(x=0.15, y=0.1)
     return list(shown["name"]), ms, y
