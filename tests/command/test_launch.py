@@ -15,6 +15,7 @@ import pytest
 import torch
 from hydra.core.utils import JobReturn, JobStatus
 
+from ablate.command import launch
 from ablate.command.compose import jobs_of
 from ablate.command.launch import VISIBLE, Launch, devices_to_share, start_here
 from ablate.settings.study import ConfigurationError, Task
@@ -154,6 +155,27 @@ def test_a_single_job_runs_in_this_process_and_sweeps_run_in_batches(
 def test_no_process_at_all_is_refused(launched: Callable[..., int]) -> None:
     with pytest.raises(ConfigurationError, match=r"hydra\.launcher\.n_jobs=0: allowed are 1 and more"):
         launched(print, "-m", "seed=0,1", "hydra.launcher.n_jobs=0")
+
+
+@pytest.mark.parametrize(
+    ("asked", "jobs", "cores", "gpus", "side_by_side"),
+    [
+        pytest.param(-1, 3, 2, 0, 3, id="a last job would run alone"),
+        pytest.param(-1, 4, 2, 0, 2, id="no job runs alone"),
+        pytest.param(-1, 5, 4, 0, 5, id="one more than four cores"),
+        pytest.param(-1, 6, 4, 0, 4, id="two in the last round"),
+        pytest.param(-1, 3, 1, 0, 1, id="one core"),
+        pytest.param(-1, 3, 2, 2, 2, id="one a GPU"),
+        pytest.param(-2, 3, 2, 0, 1, id="all cores but one"),
+        pytest.param(2, 3, 2, 0, 2, id="as many as were asked for"),
+        pytest.param(6, 3, 2, 2, 6, id="more than there are GPUs"),
+    ],
+)
+def test_no_job_runs_alone_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, asked: int, jobs: int, cores: int, gpus: int, side_by_side: int
+) -> None:
+    monkeypatch.setattr(launch, "allotted_cores", lambda: cores)
+    assert launch.processes_at_a_time(asked, jobs, gpus) == side_by_side
 
 
 RECORDER = '''

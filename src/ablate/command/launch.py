@@ -72,21 +72,33 @@ def start_processes(launcher: Any) -> Start:
 
     After Ctrl-C it waits until every process has saved the step that it is at. Processes whose launcher was killed end
     by themselves. Each has its share of the cores as threads, unless `OMP_NUM_THREADS` and the like say otherwise.
-    Where the machine has several GPUs, each process sees one of them only, the one that fewest others have; then there
-    are no more processes than GPUs, unless `n_jobs` says so.
+    Where the machine has several GPUs, each process sees one of them only, the one that fewest others have.
     """
     asked = launcher.n_jobs
     if asked == 0 or not isinstance(asked, int):
         raise ConfigurationError(
             f"hydra.launcher.n_jobs={asked}: allowed are 1 and more, or -1 for the number of cores"
         )
-    return partial(_start, launcher, asked if asked > 0 else max(1, allotted_cores() + 1 + asked))
+    return partial(_start, launcher)
 
 
-def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> None:
+def processes_at_a_time(asked: int, jobs: int, gpus: int) -> int:
+    """How many jobs run side by side: as many as were asked for, and for -1 one a core.
+
+    Where the machine has several GPUs, -1 is one a GPU. Elsewhere it is one more than cores if the last job would
+    otherwise run alone, beside idle cores: three jobs on two cores then take three halves of a job's time, not twice.
+    """
+    if asked > 0:
+        return asked
+    cores = max(1, allotted_cores() + 1 + asked)
+    if gpus:
+        return min(cores, gpus)
+    return cores + 1 if asked == -1 and jobs % cores == 1 else cores
+
+
+def _start(launcher: Any, jobs: Sequence[Numbered], work: Work) -> None:
     devices = devices_to_share(jobs[0][0].settings.training.device)
-    if devices and launcher.n_jobs < 0:
-        n_jobs = min(n_jobs, len(devices))
+    n_jobs = processes_at_a_time(launcher.n_jobs, len(jobs), len(devices))
     coming = list(jobs)
     running: dict[int, tuple[SpawnProcess, str, str | None, int]] = {}
     try:
