@@ -36,7 +36,7 @@ MACHINE = "processor B (docs/processors.md)"
 OF_README, LEFT_OUT = ("pchi2", "mae_smooth"), "fp32"
 #: Rays of the data sets, by what the names of figures end with.
 RAYS = {"": 16, "_paper": 32, "_patient": 16, "_teacher": 16}
-#: The paper's sizes, and three times the steps of `quick`; all else is the preset's.
+#: The paper's sizes; all else is the preset's.
 PAPERS_SIZE = (
     "scene.triangles=675000",
     "probe.frequency_mhz=8",
@@ -50,7 +50,6 @@ PAPERS_SIZE = (
     "simulator.active_aperture_mm=16",
     "simulator.noise_level_db=-177",
     "simulator.most_gain_db=null",
-    "training.steps=2400",
 )
 #: Metrics of the table of scores.
 SCORES = [

@@ -26,6 +26,7 @@ from ablate.sources.prepare import simulator_of
 from ablate.sources.source import source_of
 from ablate.ultrasound import Display, Simulator
 from ablate.viewer.calipers import in_plane
+from ablate.viewer.page.body import hides_the_rest
 from ablate.viewer.pictures import Window
 from ablate.viewer.session import ViewerState
 from ablate.viewer.task import Viewer
@@ -381,6 +382,27 @@ def test_it_starts_with_the_gain_of_the_command_line(arguments: list[str], monke
         Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", "gain_db=-4.5"])[0].settings)
     assert starts[0].display == Display(gain_db=-4.5)
     assert starts[0].seed == 0
+
+
+SKIN = trimesh.creation.icosphere(4, radius=60)
+WITHIN = trimesh.creation.icosphere(4, radius=59.5)
+WITHIN.invert()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "hides"),
+    [
+        pytest.param(SKIN, True, id="a body"),
+        pytest.param(trimesh.util.concatenate([SKIN, WITHIN]), True, id="skin as a shell"),
+        pytest.param(trimesh.creation.box((80, 80, 0.5)), True, id="a flat fascia"),
+        pytest.param(trimesh.creation.icosphere(3, radius=15), False, id="an organ"),
+        pytest.param(trimesh.creation.cylinder(4, 110), False, id="a vessel"),
+        pytest.param(trimesh.creation.box((20, 20, 0.5)), False, id="a valve"),
+        pytest.param(trimesh.creation.box((80, 80, 8)), False, id="a muscle"),
+    ],
+)
+def test_what_surrounds_or_covers_the_rest_is_seen_through(mesh: trimesh.Trimesh, hides: bool) -> None:
+    assert hides_the_rest(mesh, np.full(3, 120.0)) is hides
 
 
 def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:

@@ -18,7 +18,8 @@ _UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metr
 _TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
 _FEWEST = 200  # of one structure
 _LARGE = 0.1  # of the box around the scene: what fills more of it surrounds the rest
-_ENVELOPE = 0.1  # opacity of what surrounds the rest, at first
+_THIN, _WIDE = 0.005, 0.1  # of that box's diagonal and largest side: a thinner and wider sheet covers the rest
+_ENVELOPE = 0.1  # opacity of what surrounds or covers the rest, at first
 _NEAR = 0.01  # viser's own, of its space: what is nearer to the camera is not drawn
 _BEFORE_FAN_MM = 1.0  # so that the fan itself is drawn
 _FACES = 0.99  # cosine between a camera that faces the plane and the plane's normal
@@ -180,12 +181,12 @@ def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> dic
 
     Only their far walls are drawn, as of a body cut open, so that the fan and the organs inside are seen.
     """
-    whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
+    box = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0)
     share = min(1.0, _TRIANGLES / max(1, sum(len(s.mesh.faces) for s in scene.structures)))
     parts: dict[tuple[int, float | None], list[trimesh.Trimesh]] = {}
     pairs = zip(scene.structures, scene.structure_tissues, strict=True)
     for structure, tissue in sorted(pairs, key=lambda pair: -pair[0].mesh.extents.prod()):
-        opacity = _ENVELOPE if abs(structure.mesh.volume) > _LARGE * whole else None
+        opacity = _ENVELOPE if hides_the_rest(structure.mesh, box) else None
         mesh = fewer_triangles(structure.mesh, max(_FEWEST, int(share * len(structure.mesh.faces))))
         parts.setdefault((tissue, opacity), []).append(mesh)
     added: dict[str, list[Any]] = {}
@@ -195,6 +196,14 @@ def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> dic
         shown = _add(server.scene, f"/body/{number}", whole_mesh, color=colour, opacity=opacity, side="back")
         added.setdefault(scene.tissues[tissue].name, []).append(shown)
     return added
+
+
+def hides_the_rest(mesh: trimesh.Trimesh, box: np.ndarray) -> bool:
+    """Whether a structure surrounds what lies in a box of these sides, mm, or covers it as a fascia does."""
+    volume, one_side = abs(mesh.volume), mesh.area / 2
+    is_thin = volume < _THIN * np.linalg.norm(box) * one_side
+    is_wide = one_side > _WIDE * box.prod() / box.min()
+    return bool(volume > _LARGE * box.prod() or (is_thin and is_wide))
 
 
 def _add(scene: Any, name: str, mesh: trimesh.Trimesh, side: str = "double", **look: Any) -> Any:
