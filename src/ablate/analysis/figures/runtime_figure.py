@@ -26,7 +26,7 @@ SIMULATOR_COLOUR = "#888888"
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
 _FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
 _TITLE_LETTERS = 60  # of a line above a panel
-_AXIS_LETTERS = 32  # of a line beside it
+_AXIS_LETTERS = 38  # of a line beside it
 
 
 def error_vs_runtime(
