@@ -37,6 +37,9 @@ TABLES = {
         7,Left kidney,0,0,255,255
         """,
     "bids.tsv": "index\tname\tabbreviation\n1\tLeber & Milz\tL\n2\t肝臓\tK\n7\tLeft kidney\tN\n",
+    "spreadsheet.csv": "\ufefflabel;name\n1;Leber & Milz\n2;肝臓\n7;Left kidney\n",
+    "tabs.csv": "value\tlabel\n1\tLeber & Milz\n2\t肝臓\n7\tLeft kidney\n",
+    "organs.csv": "Label ID,Organ\n1,Leber & Milz\n2,肝臓\n7,Left kidney\n,\n",
     "dataset.json": '{"labels": {"background": 0, "Leber & Milz": 1, "肝臓": 2, "Left kidney": 7}}',
     "old.json": '{"labels": {"0": "background", "1": "Leber & Milz", "2": "肝臓", "7": "Left kidney"}}',
 }
@@ -45,6 +48,7 @@ NO_TABLES = {
     "points.csv": "x,y,z\n1,2,3\n",
     "few.ctbl": "1 liver 255 0 0 255\n",  # the others have no name
     "broken.json": "{",
+    "broken.csv": 'label,name\n1,"' + 200_000 * "x",
     "list.json": "[1]",
     "sizes.txt": "1 2 3 4 5 6\n2 3 4 5 6 7\n7 8 9 10 11 12\n",
 }

@@ -18,7 +18,9 @@ _LINES = (
     re.compile(r"^\s*(?P<number>\d+)(?:\s+\d+){3}\s+[\d.]+\s+[01]\s+[01]\s+\"(?P<name>[^\"]*)\"\s*$"),
     re.compile(r"^\s*(?P<number>\d+)\s+(?P<name>\S*[^\W\d]\S*)(?:\s+\d+){4}\s*$"),
 )
-_NUMBERS, _NAMES = ("labelvalue", "label", "index", "value", "id"), ("name", "labelname", "structure")
+#: Columns; one that is called `label` may hold either.
+_NUMBERS = ("labelvalue", "labelid", "label", "index", "value", "id")
+_NAMES = ("name", "labelname", "structurename", "structure", "organ", "label")
 _TABLES = (".txt", ".label", ".ctbl", ".csv", ".tsv", ".json")
 _MOST_BYTES = 2**20  # of a table; what is longer is none
 
@@ -83,15 +85,26 @@ def _names_in_table(path: Path) -> dict[int, str]:
     if path.suffix.lower() == ".json":
         return _names_of_nnunet(text)
     if path.suffix.lower() in (".csv", ".tsv"):
-        rows = csv.DictReader(text.splitlines(), delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
-        columns = {re.sub(r"[^a-z]", "", column.lower()): column for column in rows.fieldnames or () if column}
-        number, name = (next((columns[c] for c in known if c in columns), None) for known in (_NUMBERS, _NAMES))
-        return _checked((row[number] or "", row[name] or "") for row in rows) if number and name else {}
+        return _names_in_columns(text.splitlines())
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     for pattern in _LINES:
         if lines and all(matches := [pattern.match(line) for line in lines]):
             return _checked((match["number"], match["name"].replace("_", " ")) for match in matches if match)
     return {}
+
+
+def _names_in_columns(lines: list[str]) -> dict[int, str]:
+    """Those of a table with a header, between commas, tabs or, as spreadsheets of many countries write it, semicolons."""
+    separator = max(",;\t", key=lines[0].count) if lines else ","
+    try:
+        rows = list(csv.DictReader(lines, delimiter=separator))
+    except csv.Error:  # another kind of file
+        return {}
+    columns = {re.sub(r"[^a-z]", "", column.lower()): column for column in rows[0] if column} if rows else {}
+    held = {known: [row[column] or "" for row in rows] for known, column in columns.items()}
+    numbers = next((c for c in _NUMBERS if any(cell.strip().isdecimal() for cell in held.get(c, ()))), None)
+    names = next((c for c in _NAMES if c in held and c != numbers), None)
+    return _checked(zip(held[numbers], held[names], strict=True)) if numbers and names else {}
 
 
 def _names_of_nnunet(text: str) -> dict[int, str]:
