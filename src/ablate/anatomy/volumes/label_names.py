@@ -94,7 +94,7 @@ def _names_in_table(path: Path) -> dict[int, str]:
 
 
 def _names_in_columns(lines: list[str]) -> dict[int, str]:
-    """Those of a table with a header, between commas, tabs or, as spreadsheets of many countries write it, semicolons."""
+    """Those of a table with a header, between commas, tabs or semicolons, as spreadsheets of many countries have it."""
     separator = max(",;\t", key=lines[0].count) if lines else ","
     try:
         rows = list(csv.DictReader(lines, delimiter=separator))
