@@ -50,6 +50,7 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
             optimizer.zero_grad()
             image.mean().backward()
             optimizer.step()
+        _check_seeds(spec, labels, maps)
         late = [name for name, value in network.named_parameters() if before.get(name) is not value]
         if late:
             named = ", ".join(name.removeprefix("inner.") for name in late[:_NAMED])
@@ -61,6 +62,19 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
             raise
         images = f"two images of {maps.shape[2]} x {maps.shape[3]} px"
         raise ValueError(f"{where}: {images} fail: {describe_error(error)}") from error
+
+
+def _check_seeds(spec: GeneratorSpec, labels: int, maps: Tensor) -> None:
+    """Raise ValueError where a class seeds torch as it is made or renders: all trainings would then begin alike."""
+    states = []
+    for seed in range(2):
+        with torch.random.fork_rng([]):
+            torch.manual_seed(seed)
+            CustomNetwork(spec, labels)(maps, [], [])
+            states.append(torch.get_rng_state())
+    if torch.equal(*states):
+        why = "seeds torch (torch.manual_seed), so that training.seed decides nothing"
+        raise ValueError(f"target={spec.target}: {why}; allowed are draws that follow it, and a torch.Generator")
 
 
 def check_saved(

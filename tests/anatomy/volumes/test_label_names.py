@@ -98,6 +98,14 @@ def test_other_files_beside_a_volume_name_nothing(tmp_path: Path) -> None:
     assert names_beside(tmp_path / "a.nii.gz", [1, 2, 7]) == ({}, "")
 
 
+def test_a_table_of_a_kind_that_is_not_read_is_said(tmp_path: Path) -> None:
+    save(tmp_path / "a.nii.gz", blocks([1, 2, 7]))
+    assert "no name" not in proposed(tmp_path)
+    (tmp_path / "a.json").write_text('{"1": "liver", "2": "spleen", "7": "kidney"}')
+    assert "\n  # no name was found of each label, in the header nor beside it in a.json\n" in proposed(tmp_path)
+    assert len(load_scene(tmp_path).structures) == 3
+
+
 def test_a_table_with_the_name_of_the_volume_comes_first_and_the_header_before_both(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("label,name\n1,bone\n")
     (tmp_path / "seg.csv").write_text("label,name\n1,liver\n")

@@ -48,11 +48,15 @@ def names_beside(path: Path, numbers: Collection[int]) -> tuple[dict[int, str], 
     A table that is called as the volume comes before others. Nothing where there is no such table.
     """
     stem = path.name.lower().split(".")[0]
-    tables = [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() in _TABLES and file.is_file()]
-    for table in sorted(tables, key=lambda file: not file.name.lower().startswith(stem)):
+    for table in sorted(tables_beside(path), key=lambda file: not file.name.lower().startswith(stem)):
         if table.stat().st_size <= _MOST_BYTES and set(numbers) - {0} <= (names := _names_in_table(table)).keys():
             return names, table.name
     return {}, ""
+
+
+def tables_beside(path: Path) -> list[Path]:
+    """The files beside a volume that may be tables of names, by their endings."""
+    return [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() in _TABLES and file.is_file()]
 
 
 def _checked(pairs: Any) -> dict[int, str]:
