@@ -76,7 +76,7 @@ def space_of_vtp(path: Path) -> str:
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
     with _complaints():
-        reader = vtkXMLPolyDataReader()
+        reader: Any = vtkXMLPolyDataReader()
         reader.SetFileName(str(path))
         reader.Update()
         space = reader.GetOutput().GetFieldData().GetAbstractArray("SPACE")
