@@ -52,6 +52,13 @@ class SeedsAsItRenders(Sum):
         torch.manual_seed(0)
         return super().forward(maps) + torch.randn_like(maps[:, :1])
 
+class OfOneSize(Sum):
+    def __init__(self, channels):
+        super().__init__(channels)
+        self.place = nn.Parameter(torch.zeros(1, 32, 32))
+    def forward(self, maps):
+        return super().forward(maps) + self.place
+
 class NoChannels(nn.Module):
     def __init__(self):
         super().__init__()
@@ -286,6 +293,7 @@ def test_its_sizes() -> None:
         ("NoChannels", r"networks_of_a_user.NoChannels\(2\) fails: TypeError"),
         ("Seeds", "seeds torch .*so that training.seed decides nothing"),
         ("SeedsAsItRenders", "seeds torch .*so that training.seed decides nothing"),
+        ("OfOneSize", "an image of 64 x 32 px fails, as frames are larger than crops: RuntimeError"),
         ("number", "is no class of torch.nn.Module"),
         ("Missing", "AttributeError.*allowed is the path of a class"),
     ],

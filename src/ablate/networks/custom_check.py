@@ -26,7 +26,7 @@ class UnsavedStateError(ValueError):
 
 
 def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
-    """Try a training of two steps on two images of `side` px, and what a checkpoint of it renders.
+    """Try a training of two steps on two images of `side` px, what a checkpoint of it renders, and a larger image.
 
     A ValueError names the class and what is wrong.
     """
@@ -38,6 +38,7 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
     where = f"target={spec.target}"
     maps = _trial_maps(spec, side, labels)
     before = dict(network.named_parameters())
+    tried = f"two images of {maps.shape[2]} x {maps.shape[3]} px fail"
     try:
         with _evaluating(network):
             _check_image(network(maps, [], []), where)  # what it keeps of images now is old when it is trained
@@ -57,11 +58,14 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
             when = "as it renders: it is neither trained nor loaded; allowed are layers that are made in __init__"
             raise ValueError(f"{where}: makes {named} {when}")
         check_saved(network, spec, labels, side)
+        tall = torch.cat(maps.split(1), dim=2)
+        tried = f"an image of {tall.shape[2]} x {tall.shape[3]} px fails, as frames are larger than crops"
+        with _evaluating(network):
+            _check_image(network(tall, [], []), where)
     except (Exception, SystemExit) as error:  # whatever the user's class does
         if str(error).startswith(where):
             raise
-        images = f"two images of {maps.shape[2]} x {maps.shape[3]} px"
-        raise ValueError(f"{where}: {images} fail: {describe_error(error)}") from error
+        raise ValueError(f"{where}: {tried}: {describe_error(error)}") from error
 
 
 def _check_seeds(spec: GeneratorSpec, labels: int, maps: Tensor) -> None:
