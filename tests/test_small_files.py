@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import json
 import struct
 import zipfile
 import zlib
@@ -22,6 +23,7 @@ import zarr
 from zarr.codecs import BloscCodec, ZstdCodec
 
 import ablate
+from ablate.anatomy.meshes.mesh_file import read_mesh
 from ablate.anatomy.scene import _read as read_scene
 from ablate.anatomy.scene_values import read_yaml
 from ablate.anatomy.volumes.volume_file import check_volume, slabs
@@ -164,6 +166,31 @@ def pairs_at(folder: Path) -> zarr.Group:
     return zarr.open_group(folder / "pairs.zarr", mode="a")
 
 
+def mesh_of_one_array_many_times(folder: Path) -> Callable[[], object]:
+    """10^5 vertices, in each of 700 primitives that have one corner."""
+    (folder / "a.bin").write_bytes(bytes(12 * 10**5))
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1, "mode": 5}
+    tree = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive] * 700}],
+        "buffers": [{"uri": "a.bin", "byteLength": 12 * 10**5}],
+        "bufferViews": [{"buffer": 0, "byteLength": 12 * 10**5}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 10**5, "type": "VEC3"},
+            {"bufferView": 0, "componentType": 5121, "count": 1, "type": "SCALAR"},
+        ],
+    }  # fmt: skip
+    (folder / "a.gltf").write_text(json.dumps(tree))
+    return lambda: read_mesh(folder / "a.gltf")
+
+
+def mesh_with_a_long_word(folder: Path) -> Callable[[], object]:
+    """NumPy gives all words the length of the longest one."""
+    head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\nend_header\n"
+    (folder / "a.ply").write_text(head + "0 " * 20_000 + "0" * 20_000)
+    return lambda: read_mesh(folder / "a.ply")
+
+
 def mask_of_pairs(folder: Path) -> Callable[[], object]:
     group = pairs_at(folder)
     group.create_array("mask", shape=(17_000, 17_000), chunks=(100, 100), dtype=bool, overwrite=True)
@@ -230,6 +257,8 @@ FILES = {
     text_beside_a_volume: r"a\.nii\.gz: not readable: .*unpacks to 314,572,800 bytes",
     values_behind_a_volume: r"a\.nrrd: not readable to its end: .*unpacks to [\d,]+ bytes; allowed are 512",
     scene_of_merges: r"scene\.yaml: not readable as YAML: more than 1000 keys are merged by <<",
+    mesh_of_one_array_many_times: r"a\.gltf: .*its nodes make 70000700 vertices and corners .*; allowed are 67108864",
+    mesh_with_a_long_word: r"a\.ply: .*bytes follow the rows",
     mask_of_pairs: r"mask: unpacks to 289,000,000 bytes",
     beam_of_pairs: r"pairs\.zarr: unpacks to 1,000,000,000,000 bytes",
     frames_of_pairs: r"target: is uint8 of \(1, 10000, 10000\) .*; its data set has uint8 of \(1, 6, 4\)",

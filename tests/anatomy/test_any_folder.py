@@ -96,6 +96,8 @@ ANYTHING: dict[str, Made] = {
     "empty.off": lambda path: path.touch(),
     "folder.ply": lambda path: path.mkdir(),
     "buffers.gltf": lambda path: path.write_text('{"buffers": [{"uri": "../away.bin"}]}'),
+    "spleen.mha": lambda path: path.touch(),
+    "inner": lambda path: (path.mkdir(), ball(path / "a.obj", 9)),
     "notes.txt": lambda path: path.write_text("1 2 3"),
 }
 

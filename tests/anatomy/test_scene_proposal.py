@@ -52,6 +52,25 @@ def test_a_mesh_that_cannot_be_used_is_named_in_a_comment(tmp_path: Path) -> Non
     assert len(load_scene(tmp_path).structures) == 6
 
 
+def test_what_is_not_read_is_named_whatever_its_format(tmp_path: Path) -> None:
+    """Also what lies within an inner folder, but nothing that is no structure."""
+    folder_of(tmp_path)
+    for name in ("kidney.3mf", "a.dcm", "b.dcm", "c.DCM", "spleen.MHA", "texture.png"):
+        (tmp_path / name).touch()
+    (tmp_path / "right").mkdir()
+    trimesh.creation.icosphere(1).export(tmp_path / "right" / "lung.stl")
+    text = proposed_scene(tmp_path)
+    left_out = [line.removeprefix("  # left out: ") for line in text.splitlines() if "# left out: " in line]
+    assert [line.partition(" is ")[0] for line in left_out[:-1]] == [
+        "kidney.3mf: .3mf",
+        "a.dcm: .dcm (and 2 more)",
+        "spleen.MHA: .mha",
+    ]
+    assert left_out[-1] == "right: of folders within this one nothing is taken; right/lung.stl may be named"
+    (tmp_path / "scene.yaml").write_text(text)
+    assert len(load_scene(tmp_path).structures) == 6
+
+
 def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
     none = r"scene\.folder: .* has no scene\.yaml, no mesh and no volume; \.obj, \.stl"
     with pytest.raises(FileNotFoundError, match=none):

@@ -254,6 +254,7 @@ def test_pictures_are_the_same_whatever_compresses_them_and_whatever_lies_outsid
         (ConvexProbe(radius_mm=40, fov_deg=70, depth_mm=1500), "depth_mm: 1500 "),
         (LinearProbe(width_mm=3.8, depth_mm=4), "width_mm: 3.8 .* and depth_mm: 4 "),
         (PhasedProbe(aperture_mm=2, depth_mm=160), "aperture_mm: 2 "),
+        (PhasedProbe(fov_deg=1.4), "fov_deg: 1.4 .usual are 10 to 180"),  # radians
     ],
 )
 def test_lengths_that_no_probe_has_are_named(probe: Probe, odd: str) -> None:

@@ -29,9 +29,14 @@ from ablate.evaluation import (
     score_run,
     tissue_labels,
 )
+from ablate.evaluation.scorer import _distances
 from ablate.evaluation.scores import not_computed
 from ablate.metrics import (
+    METRICS,
+    FeatureKind,
+    Metric,
     Pair,
+    SetDistance,
     choose_metrics,
     crps,
     features,
@@ -289,6 +294,21 @@ def test_distances_that_frames_do_not_allow_are_left_out_in_words(
     reasons = not_computed(choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None)
     assert reasons.keys() == missing
     assert note in " ".join(reasons.values())
+
+
+def test_a_distance_of_ones_own_changes_no_feature_for_others() -> None:
+    rng, sites = np.random.default_rng(0), np.arange(20) // 2
+
+    def mine(rendered: np.ndarray, wanted: np.ndarray) -> float:
+        torch.from_numpy(rendered).mul_(0)
+        wanted -= wanted.mean(0)
+        return 0.0
+
+    own = Metric("mine", of_set=SetDistance(FeatureKind.speckle, mine))
+    package = [METRICS[name] for name in ("fd_speckle", "kd_speckle")]
+    batches = [(rng.normal(size=(40, 3)), rng.normal(1, size=(40, 3)))]
+    alone = _distances(package, batches, sites)
+    assert _distances([own, *package], batches, sites).items() >= alone.items()
 
 
 def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, calls: list[Part]) -> None:

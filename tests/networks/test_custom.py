@@ -42,6 +42,23 @@ class DrawsForItself(Sum):
     def forward(self, maps):
         return super().forward(maps + torch.randn_like(maps))
 
+class Seeds(Sum):
+    def __init__(self, channels):
+        torch.manual_seed(0)
+        super().__init__(channels)
+
+class SeedsAsItRenders(Sum):
+    def forward(self, maps):
+        torch.manual_seed(0)
+        return super().forward(maps) + torch.randn_like(maps[:, :1])
+
+class OfOneSize(Sum):
+    def __init__(self, channels):
+        super().__init__(channels)
+        self.place = nn.Parameter(torch.zeros(1, 32, 32))
+    def forward(self, maps):
+        return super().forward(maps) + self.place
+
 class NoChannels(nn.Module):
     def __init__(self):
         super().__init__()
@@ -274,6 +291,9 @@ def test_its_sizes() -> None:
         ("Fails", "two images of 32 x 32 px fail: RuntimeError: no such thing"),
         ("Fixed", "has no parameter to train"),
         ("NoChannels", r"networks_of_a_user.NoChannels\(2\) fails: TypeError"),
+        ("Seeds", "seeds torch .*so that training.seed decides nothing"),
+        ("SeedsAsItRenders", "seeds torch .*so that training.seed decides nothing"),
+        ("OfOneSize", "an image of 64 x 32 px fails, as frames are larger than crops: RuntimeError"),
         ("number", "is no class of torch.nn.Module"),
         ("Missing", "AttributeError.*allowed is the path of a class"),
     ],

@@ -123,6 +123,17 @@ def test_what_is_scored_is_what_another_process_loads(folder: Path, ema_decay: f
     assert all(torch.equal(value, weights[name]) for name, value in at_once.items() if "extra" not in name)
 
 
+@pytest.mark.filterwarnings("ignore:.*weight_norm.* is deprecated")
+def test_weights_that_are_kept_before_the_end_are_read_of_a_class_that_cannot_be_copied(folder: Path) -> None:
+    (folder / "trained_here.py").write_text(START + STATE_THAT_IS_SAVED)
+    settings = replace(SETTINGS, ema_decay=0.0, loss="none", snapshots=3)
+    whole = train(SPEC, settings, loader, folder / "run")
+    (kept,) = whole.snapshots
+    assert (kept.network.inner.seen, whole.generator.network.inner.seen) == (settings.snapshot_steps[0], 8)
+    stored = torch.load(folder / "run" / f"step-{settings.snapshot_steps[0]}.pt")
+    assert all(torch.equal(value, stored[name]) for name, value in kept.state_dict().items() if "extra" not in name)
+
+
 def test_a_network_that_keeps_its_skip_on_itself_renders_no_frame_of_another(folder: Path) -> None:
     (folder / "trained_here.py").write_text(START + KEEPS_ITS_SKIP)
     generator = Generator(SPEC).eval()

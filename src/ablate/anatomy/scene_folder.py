@@ -13,7 +13,7 @@ from typing import Any
 from ablate.anatomy import scene_values as values
 from ablate.anatomy.meshes.gltf_document import buffer_files, gltf_document
 from ablate.anatomy.meshes.mesh_file import MESH_SUFFIXES
-from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
+from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES, space_of_vtp
 from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
@@ -172,7 +172,9 @@ def load_sites(folder: str | Path) -> SiteGrid:
 
 
 def mesh_space(path: Path) -> str:
-    """The space that 3D Slicer wrote a mesh in, LPS or RAS, where it says so at the beginning of the file."""
+    """The space that 3D Slicer wrote a mesh in, LPS or RAS, where the file says so: at its beginning, or in a .vtp."""
+    if path.suffix.lower() == ".vtp":
+        return space_of_vtp(path)
     with path.open("rb") as stream:
         head = stream.read(512)
     return next((space for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head), "")

@@ -1,6 +1,7 @@
 """A scene.yaml proposed for a folder of meshes or volumes that has none: tissues from names, the rest from sizes."""
 
 import json
+import os
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -17,6 +18,12 @@ from ablate.anatomy.scene_values import file_named
 from ablate.anatomy.tissue_names import place_of_tissue, tissue_of_name
 from ablate.anatomy.volumes.labels_proposal import proposed_labels
 from ablate.anatomy.volumes.volume_file import SUFFIXES
+
+#: Other formats of meshes and volumes: named, as they are not read.
+_OTHERS = (
+    ".3mf", ".amf", ".blend", ".ctm", ".dae", ".fbx", ".iges", ".igs", ".msh", ".step", ".stp", ".usdz", ".vtu", ".wrl",
+    ".x3d", ".am", ".dcm", ".gipl", ".hdr", ".ima", ".img", ".mgh", ".mgz", ".mha", ".mhd", ".mnc", ".nhdr", ".vti",
+)  # fmt: skip
 
 
 def proposed_scene(folder: Path) -> str:
@@ -35,6 +42,7 @@ def proposed_scene(folder: Path) -> str:
     labels = proposed_labels(volumes, folder, left_out) if volumes else None
     loaded = _meshes(meshes, folder, "RAS" if labels else "", left_out)
     unit = _unit(loaded, bool(labels), left_out)
+    left_out |= _not_looked_at(folder)
     lines = [_one_line(name, reason, folder) for name, reason in left_out.items()]
     if not loaded and not labels:
         more = f" (and {len(lines) - 3} more files)" if len(lines) > 3 else ""
@@ -58,6 +66,22 @@ def _candidates(folder: Path) -> tuple[list[str], list[str]]:
     if (folder / MASKS).is_dir():
         names += sorted(f"{MASKS}/{path.name}" for path in (folder / MASKS).iterdir())
     return meshes, [name for name in names if name.lower().endswith(SUFFIXES)]
+
+
+def _not_looked_at(folder: Path) -> dict[str, str]:
+    """Why what else may hold a structure is not used: by the first file of each other format, and by inner folder."""
+    read, paths, why = (*MESH_SUFFIXES, *SUFFIXES), sorted(folder.iterdir()), dict[str, str]()
+    for suffix in _OTHERS:
+        names = [path.name for path in paths if path.name.lower().endswith(suffix) and not path.name.startswith(".")]
+        if names:
+            more = f" (and {len(names) - 1} more)" if len(names) > 1 else ""
+            why[names[0]] = f"{suffix}{more} is not read; allowed are {', '.join(read)}"
+    for inner in paths:
+        if inner.is_dir() and inner.name != MASKS and os.access(inner, os.R_OK):
+            names = sorted(path.name for path in inner.iterdir() if path.name.lower().endswith(read))
+            if names:
+                why[inner.name] = f"of folders within this one nothing is taken; {inner.name}/{names[0]} may be named"
+    return why
 
 
 def _meshes(names: list[str], folder: Path, space: str, left_out: dict[str, str]) -> dict[str, trimesh.Trimesh]:

@@ -12,8 +12,10 @@ from ablate.setting import naming, plain
 from ablate.ultrasound.settings import PROBE_KEYS, Probe, probe_from
 
 MOST_LABELS = 254
-#: What probes have, from those within the body and for the skin to those for a whole abdomen.
-USUAL_MM = {"radius_mm": (8, 120), "width_mm": (10, 120), "aperture_mm": (5, 60), "depth_mm": (20, 400)}
+#: What probes have, from those within the body and for the skin to those for a whole abdomen; no angle is in radians.
+USUAL = {
+    "radius_mm": (8, 120), "width_mm": (10, 120), "aperture_mm": (5, 60), "depth_mm": (20, 400), "fov_deg": (10, 180)
+}  # fmt: skip
 
 
 def sites_and_parts(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...], np.ndarray | None]:
@@ -80,9 +82,9 @@ def probe_of_fan(path: Path) -> Probe | None:
 
 
 def odd_lengths(probe: Probe) -> str:
-    """Lengths in mm that no probe has, as they stand in `fan.yaml`; empty where all are usual."""
+    """Lengths and angles that no probe has, as they stand in `fan.yaml`; empty where all are usual."""
     odd = []
-    for key, (least, most) in USUAL_MM.items():
+    for key, (least, most) in USUAL.items():
         length = getattr(probe, key, least)
         if not least <= length <= most:
             odd.append(f"{key}: {length:g} (usual are {least:g} to {most:g})")

@@ -268,7 +268,8 @@ def _distances(metrics: Collection[Metric], batches: Collection[Features], sites
     for metric in metrics:
         if metric.of_set is None:
             continue
-        scalars[metric.name] = metric.of_set.distance(rendered, wanted)
+        # copies, as one of the user's may write to them
+        scalars[metric.name] = metric.of_set.distance(rendered.copy(), wanted.copy())
         if len(np.unique(sites)) > 1:
             ends = bootstrap_interval(metric.of_set.distance, rendered, wanted, groups, metric.of_set.resamples)
             scalars |= {f"{metric.name}_{side}": end for side, end in zip(BOUNDS, ends, strict=True)}

@@ -26,7 +26,7 @@ class UnsavedStateError(ValueError):
 
 
 def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
-    """Try a training of two steps on two images of `side` px, and what a checkpoint of it renders.
+    """Try a training of two steps on two images of `side` px, what a checkpoint of it renders, and a larger image.
 
     A ValueError names the class and what is wrong.
     """
@@ -38,6 +38,7 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
     where = f"target={spec.target}"
     maps = _trial_maps(spec, side, labels)
     before = dict(network.named_parameters())
+    tried = f"two images of {maps.shape[2]} x {maps.shape[3]} px fail"
     try:
         with _evaluating(network):
             _check_image(network(maps, [], []), where)  # what it keeps of images now is old when it is trained
@@ -50,17 +51,34 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
             optimizer.zero_grad()
             image.mean().backward()
             optimizer.step()
+        _check_seeds(spec, labels, maps)
         late = [name for name, value in network.named_parameters() if before.get(name) is not value]
         if late:
             named = ", ".join(name.removeprefix("inner.") for name in late[:_NAMED])
             when = "as it renders: it is neither trained nor loaded; allowed are layers that are made in __init__"
             raise ValueError(f"{where}: makes {named} {when}")
         check_saved(network, spec, labels, side)
+        tall = torch.cat(maps.split(1), dim=2)
+        tried = f"an image of {tall.shape[2]} x {tall.shape[3]} px fails, as frames are larger than crops"
+        with _evaluating(network):
+            _check_image(network(tall, [], []), where)
     except (Exception, SystemExit) as error:  # whatever the user's class does
         if str(error).startswith(where):
             raise
-        images = f"two images of {maps.shape[2]} x {maps.shape[3]} px"
-        raise ValueError(f"{where}: {images} fail: {describe_error(error)}") from error
+        raise ValueError(f"{where}: {tried}: {describe_error(error)}") from error
+
+
+def _check_seeds(spec: GeneratorSpec, labels: int, maps: Tensor) -> None:
+    """Raise ValueError where a class seeds torch as it is made or renders: all trainings would then begin alike."""
+    states = []
+    for seed in range(2):
+        with torch.random.fork_rng([]):
+            torch.manual_seed(seed)
+            CustomNetwork(spec, labels)(maps, [], [])
+            states.append(torch.get_rng_state())
+    if torch.equal(*states):
+        why = "seeds torch (torch.manual_seed), so that training.seed decides nothing"
+        raise ValueError(f"target={spec.target}: {why}; allowed are draws that follow it, and a torch.Generator")
 
 
 def check_saved(

@@ -1,13 +1,12 @@
 """Write and read weights. Not the code that trains: looking at a run does not load Lightning."""
 
-from copy import deepcopy
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from ablate.networks import Generator, GeneratorSpec, read_stored, stored_generator
+from ablate.networks import Generator, GeneratorSpec, copied, read_stored, stored_generator
 from ablate.storage import remove_partial, written_whole
 from ablate.training.settings import TrainingSettings
 from ablate.user_code import check_named, code_digest
@@ -30,7 +29,7 @@ def write_snapshot(folder: Path, step: int, generator: Generator) -> None:
 def load_snapshot(folder: Path, step: int, like: Generator) -> Generator:
     """Load what `write_snapshot` has kept into a copy of a generator; a ValueError where it cannot be read."""
     path = _snapshot(folder, step)
-    generator = deepcopy(like)
+    generator = copied(like).requires_grad_(False).to(next(like.parameters()).device)
     try:
         generator.load_state_dict(read_stored(path))
     except Exception as error:  # torch raises many kinds

@@ -98,6 +98,7 @@ DIALECTS: dict[str, str | bytes] = {
     "coloured.obj": obj().replace("-30 -30 -30\n", "-30 -30 -30 0.1 0.2 0.3\n"),
     "weights.obj": obj().replace("-30 -30 -30\n", "-30 -30 -30 1.0\n"),
     "comments.obj": "\ufeff# Vertices: 16\n# Faces: 14\n" + obj().replace("-30\n", "-30 # a corner\n"),
+    "folders.obj": "# of C:\\scans\\\n" + obj(relative=True).replace("-30 -30 -30\n", "-30 -30 -30 # of C:\\scans\\\n"),
     "looks.obj": "mtllib caf\u00e9.mtl\n" + obj().replace("o 1", "g f 9\ns 1\nusemtl v 9\nl 1 2\np 1"),
     "plain.off": off(),
     "coloured.off": off("COFF\n16 14 0").replace("30\n", "30 255 0 0 255\n").replace("2\n", "2 0.3 0.4 0.5\n"),

@@ -13,6 +13,7 @@ from ablate.anatomy.meshes.repair import load_mesh
 
 pytest.importorskip("vtkmodules", reason="needs the extra: pip install 'ablate-ultrasound[vtk]'")
 
+from vtkmodules.vtkCommonCore import vtkStringArray
 from vtkmodules.vtkFiltersCore import vtkAppendPolyData
 from vtkmodules.vtkFiltersSources import vtkCubeSource
 from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
@@ -131,4 +132,24 @@ def test_a_scene_is_made_of_them_and_without_the_package_its_extra_is_named(
     assert [s.mesh.metadata["name"] for s in scene.structures] == ["skin.vtp", "liver.stl"]
     monkeypatch.setattr(scene_folder, "find_spec", lambda _: None)
     with pytest.raises(ValueError, match=r"structures\[0\]\.mesh: .*pip install -e '\.\[vtk\]'"):
+        validate_scene_folder(tmp_path)
+
+
+@pytest.mark.parametrize("mode", ["SetDataModeToAppended", "SetDataModeToBinary", "SetDataModeToAscii"])
+def test_the_space_that_3d_slicer_names_in_a_vtp_is_known(mode: str, tmp_path: Path) -> None:
+    """It stands in the field data, as codes of its letters or packed."""
+    for space in ("LPS", "RAS"):
+        box, writer, named = vtkCubeSource(), vtkXMLPolyDataWriter(), vtkStringArray()
+        named.SetName("SPACE")
+        named.InsertNextValue(space)
+        box.Update()
+        surface = box.GetOutput()
+        surface.GetFieldData().AddArray(named)
+        getattr(writer, mode)()
+        writer.SetInputData(surface)
+        writer.SetFileName(str(tmp_path / f"in{space}.vtp"))
+        assert writer.Write() == 1
+    structures = "{mesh: inLPS.vtp, tissue: fat}, {mesh: inRAS.vtp, tissue: liver}"
+    (tmp_path / "scene.yaml").write_text(f"structures: [{structures}]\n")
+    with pytest.raises(ValueError, match=r"inLPS\.vtp is in LPS, but inRAS\.vtp is in RAS; export all as RAS"):
         validate_scene_folder(tmp_path)

@@ -37,6 +37,9 @@ TABLES = {
         7,Left kidney,0,0,255,255
         """,
     "bids.tsv": "index\tname\tabbreviation\n1\tLeber & Milz\tL\n2\t肝臓\tK\n7\tLeft kidney\tN\n",
+    "spreadsheet.csv": "\ufefflabel;name\n1;Leber & Milz\n2;肝臓\n7;Left kidney\n",
+    "tabs.csv": "value\tlabel\n1\tLeber & Milz\n2\t肝臓\n7\tLeft kidney\n",
+    "organs.csv": "Label ID,Organ\n1,Leber & Milz\n2,肝臓\n7,Left kidney\n,\n",
     "dataset.json": '{"labels": {"background": 0, "Leber & Milz": 1, "肝臓": 2, "Left kidney": 7}}',
     "old.json": '{"labels": {"0": "background", "1": "Leber & Milz", "2": "肝臓", "7": "Left kidney"}}',
 }
@@ -45,6 +48,7 @@ NO_TABLES = {
     "points.csv": "x,y,z\n1,2,3\n",
     "few.ctbl": "1 liver 255 0 0 255\n",  # the others have no name
     "broken.json": "{",
+    "broken.csv": 'label,name\n1,"' + 200_000 * "x",
     "list.json": "[1]",
     "sizes.txt": "1 2 3 4 5 6\n2 3 4 5 6 7\n7 8 9 10 11 12\n",
 }
@@ -92,6 +96,14 @@ def test_other_files_beside_a_volume_name_nothing(tmp_path: Path) -> None:
     for name, text in NO_TABLES.items():
         (tmp_path / name).write_text(text)
     assert names_beside(tmp_path / "a.nii.gz", [1, 2, 7]) == ({}, "")
+
+
+def test_a_table_of_a_kind_that_is_not_read_is_said(tmp_path: Path) -> None:
+    save(tmp_path / "a.nii.gz", blocks([1, 2, 7]))
+    assert "no name" not in proposed(tmp_path)
+    (tmp_path / "a.json").write_text('{"1": "liver", "2": "spleen", "7": "kidney"}')
+    assert "\n  # no name was found of each label, in the header nor beside it in a.json\n" in proposed(tmp_path)
+    assert len(load_scene(tmp_path).structures) == 3
 
 
 def test_a_table_with_the_name_of_the_volume_comes_first_and_the_header_before_both(tmp_path: Path) -> None:

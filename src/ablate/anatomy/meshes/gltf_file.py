@@ -16,7 +16,7 @@ from ablate.setting import shown
 logger = logging.getLogger(__name__)
 
 _POINTS_AND_LINES, _TRIANGLES, _STRIP, _FAN = range(4), 4, 5, 6  # modes of primitives
-_MOST_TRIANGLES = 2**25  # of a small file, whose nodes may hold one mesh many times
+_MOST = 2**26  # vertices and corners, also of a small file: nodes may hold a mesh, and primitives an array, many times
 Surface = tuple[np.ndarray, np.ndarray]
 
 
@@ -40,30 +40,36 @@ def _scene(document: Document) -> Surface:
     def buffer(index: int) -> bytes:
         return buffer_bytes(document, index)
 
-    @cache
-    def surfaces(index: int) -> list[Surface]:
-        solid = [p for p in document.entry("meshes", index)["primitives"] if p.get("mode", 4) not in _POINTS_AND_LINES]
-        return [_surface(document, primitive, buffer) for primitive in solid]
-
-    vertices, triangles, used = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], set()
-    count_vertices = count = 0
-    for node, matrix in _placed(document):
-        if "mesh" not in node:
-            continue
-        _check_still(node, document.entry("meshes", node["mesh"]))
-        used.add(node["mesh"])
-        for points, faces in surfaces(node["mesh"]):
-            triangles.append(faces + count_vertices)
-            vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
-            count_vertices, count = count_vertices + len(points), count + len(faces)
-            if count > _MOST_TRIANGLES:
-                raise ValueError(f"its nodes make more than {_MOST_TRIANGLES} triangles of its meshes")
+    placed = [(node, matrix) for node, matrix in _placed(document) if "mesh" in node]
+    solid = [(p, matrix) for node, matrix in placed for p in _solid(document, node)]
+    if (declared := sum(_declared(document, primitive) for primitive, _ in solid)) > _MOST:
+        raise ValueError(f"its nodes make {declared} vertices and corners of its meshes; allowed are {_MOST}")
+    vertices, triangles, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    for primitive, matrix in solid:
+        points, faces = _surface(document, primitive, buffer)
+        triangles.append(faces + count)
+        vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
+        count += len(points)
+    used = {node["mesh"] for node, _ in placed}
     meshes = document.tree.get("meshes", [])
     flat = sum(p.get("mode", 4) in _POINTS_AND_LINES for index in used for p in meshes[index]["primitives"])
     if flat or len(used) < len(meshes):
         what = f"{len(meshes) - len(used)} meshes that are not in its scene, {flat} pieces of points or lines"
         logger.warning("%s: left out: %s", document.path.name, what)
     return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def _solid(document: Document, node: dict[str, Any]) -> list[dict[str, Any]]:
+    """The primitives of a node's mesh that are no points or lines."""
+    mesh = document.entry("meshes", node["mesh"])
+    _check_still(node, mesh)
+    return [primitive for primitive in mesh["primitives"] if primitive.get("mode", 4) not in _POINTS_AND_LINES]
+
+
+def _declared(document: Document, primitive: dict[str, Any]) -> int:
+    """How many vertices and corners a primitive declares."""
+    accessors = [primitive["attributes"]["POSITION"], *([primitive["indices"]] if "indices" in primitive else [])]
+    return sum(max(document.entry("accessors", index)["count"], 0) for index in accessors)
 
 
 def _placed(document: Document) -> Iterator[tuple[dict[str, Any], np.ndarray]]:

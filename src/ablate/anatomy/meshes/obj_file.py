@@ -24,11 +24,12 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     the first, and where a comment of MeshLab declares more vertices or faces than there are.
     """
     text = mesh_text(path)
+    solid = re.sub("#.*", "", text)  # a comment that ends with the path of a folder, `C:\\scans\\`, is not continued
     coordinates: list[str] = []
     corners: list[int] = []
     lengths: list[int] = []
-    for line in text.replace("\\\n", " ").split("\n"):
-        words = line.partition("#")[0].split()
+    for line in solid.replace("\\\n", " ").split("\n"):
+        words = line.split()
         if not words:
             continue
         if words[0] == "v":

@@ -46,7 +46,8 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """
     form, elements, body = _parts(path.read_bytes())
     if form == "ascii":  # each number as eight bytes, then read as a binary file
-        body = np.array(body.split(), "S").astype(np.float64).tobytes()
+        words = body.split()
+        body = np.fromiter(map(float, words), np.float64, len(words)).tobytes()
         elements = [_Element(e.name, e.rows, [_as_double(p) for p in e.properties]) for e in elements]
     place, order = 0, _ORDERS[form]
     vertices, triangles = np.zeros((0, 3)), [np.zeros((0, 3), np.int64)]

@@ -1,6 +1,8 @@
 """Meshes in VTK's own formats, as 3D Slicer and ParaView save them: .vtk and .vtp."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import numpy as np
 from ablate.extras import installing
 
 VTK_SUFFIXES = (".vtk", ".vtp")
+_HEAD = 2**14  # bytes of a .vtp, before its pieces: names of its field data
 NEEDS_VTK = f".vtk and .vtp need the package vtk: {installing('vtk')}"
 
 
@@ -20,17 +23,12 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
-        from vtkmodules.vtkCommonCore import vtkLogger, vtkStringOutputWindow
         from vtkmodules.vtkFiltersCore import vtkTriangleFilter
         from vtkmodules.vtkIOLegacy import vtkPolyDataReader
         from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
     except ImportError as error:
         raise ValueError(NEEDS_VTK) from error
-    complaints = vtkStringOutputWindow()  # takes what would be written to the screen
-    window, verbosity = complaints.GetInstance(), vtkLogger.GetCurrentVerbosityCutoff()
-    complaints.SetInstance(complaints)
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    try:
+    with _complaints() as complaints:
         reader: Any = vtkPolyDataReader() if path.suffix.lower() == ".vtk" else vtkXMLPolyDataReader()
         reader.SetFileName(str(path))
         reader.Update()
@@ -58,9 +56,6 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         cut.PassLinesOff()
         cut.PassVertsOff()
         cut.Update()
-    finally:
-        complaints.SetInstance(window)
-        vtkLogger.SetStderrVerbosity(verbosity)
     triangles = cut.GetOutput()
     if "ERROR" in complaints.GetOutput() or triangles.GetNumberOfPolys() == 0:
         raise ValueError(_reason(complaints.GetOutput()))
@@ -68,6 +63,41 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError("polygons in it cannot be cut into triangles; export it with triangles")
     vertices = vtk_to_numpy(triangles.GetPoints().GetData()).astype(np.float64)
     return vertices, vtk_to_numpy(triangles.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
+
+
+def space_of_vtp(path: Path) -> str:
+    """The space that 3D Slicer names in the field data of a .vtp, which may be packed; empty where it names none.
+
+    A damaged file is told where it is read.
+    """
+    with path.open("rb") as stream:
+        if b'Name="SPACE"' not in stream.read(_HEAD):
+            return ""
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+    with _complaints():
+        reader: Any = vtkXMLPolyDataReader()
+        reader.SetFileName(str(path))
+        reader.Update()
+        space = reader.GetOutput().GetFieldData().GetAbstractArray("SPACE")
+        named = str(space.GetValue(0)) if space and space.GetNumberOfValues() else ""
+    return named if named in ("LPS", "RAS") else ""
+
+
+@contextmanager
+def _complaints() -> Iterator[Any]:
+    """Takes what VTK would write to the screen."""
+    from vtkmodules.vtkCommonCore import vtkLogger, vtkStringOutputWindow
+
+    complaints = vtkStringOutputWindow()
+    window, verbosity = complaints.GetInstance(), vtkLogger.GetCurrentVerbosityCutoff()
+    complaints.SetInstance(complaints)
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        yield complaints
+    finally:
+        complaints.SetInstance(window)
+        vtkLogger.SetStderrVerbosity(verbosity)
 
 
 def _fewest_triangles(lengths: np.ndarray, corners: np.ndarray) -> int:

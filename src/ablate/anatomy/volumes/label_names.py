@@ -18,7 +18,9 @@ _LINES = (
     re.compile(r"^\s*(?P<number>\d+)(?:\s+\d+){3}\s+[\d.]+\s+[01]\s+[01]\s+\"(?P<name>[^\"]*)\"\s*$"),
     re.compile(r"^\s*(?P<number>\d+)\s+(?P<name>\S*[^\W\d]\S*)(?:\s+\d+){4}\s*$"),
 )
-_NUMBERS, _NAMES = ("labelvalue", "label", "index", "value", "id"), ("name", "labelname", "structure")
+#: Columns; one that is called `label` may hold either.
+_NUMBERS = ("labelvalue", "labelid", "label", "index", "value", "id")
+_NAMES = ("name", "labelname", "structurename", "structure", "organ", "label")
 _TABLES = (".txt", ".label", ".ctbl", ".csv", ".tsv", ".json")
 _MOST_BYTES = 2**20  # of a table; what is longer is none
 
@@ -46,11 +48,15 @@ def names_beside(path: Path, numbers: Collection[int]) -> tuple[dict[int, str], 
     A table that is called as the volume comes before others. Nothing where there is no such table.
     """
     stem = path.name.lower().split(".")[0]
-    tables = [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() in _TABLES and file.is_file()]
-    for table in sorted(tables, key=lambda file: not file.name.lower().startswith(stem)):
+    for table in sorted(tables_beside(path), key=lambda file: not file.name.lower().startswith(stem)):
         if table.stat().st_size <= _MOST_BYTES and set(numbers) - {0} <= (names := _names_in_table(table)).keys():
             return names, table.name
     return {}, ""
+
+
+def tables_beside(path: Path) -> list[Path]:
+    """The files beside a volume that may be tables of names, by their endings."""
+    return [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() in _TABLES and file.is_file()]
 
 
 def _checked(pairs: Any) -> dict[int, str]:
@@ -83,15 +89,26 @@ def _names_in_table(path: Path) -> dict[int, str]:
     if path.suffix.lower() == ".json":
         return _names_of_nnunet(text)
     if path.suffix.lower() in (".csv", ".tsv"):
-        rows = csv.DictReader(text.splitlines(), delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
-        columns = {re.sub(r"[^a-z]", "", column.lower()): column for column in rows.fieldnames or () if column}
-        number, name = (next((columns[c] for c in known if c in columns), None) for known in (_NUMBERS, _NAMES))
-        return _checked((row[number] or "", row[name] or "") for row in rows) if number and name else {}
+        return _names_in_columns(text.splitlines())
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     for pattern in _LINES:
         if lines and all(matches := [pattern.match(line) for line in lines]):
             return _checked((match["number"], match["name"].replace("_", " ")) for match in matches if match)
     return {}
+
+
+def _names_in_columns(lines: list[str]) -> dict[int, str]:
+    """Those of a table with a header, between commas, tabs or semicolons, as spreadsheets of many countries have it."""
+    separator = max(",;\t", key=lines[0].count) if lines else ","
+    try:
+        rows = list(csv.DictReader(lines, delimiter=separator))
+    except csv.Error:  # another kind of file
+        return {}
+    columns = {re.sub(r"[^a-z]", "", column.lower()): column for column in rows[0] if column} if rows else {}
+    held = {known: [row[column] or "" for row in rows] for known, column in columns.items()}
+    numbers = next((c for c in _NUMBERS if any(cell.strip().isdecimal() for cell in held.get(c, ()))), None)
+    names = next((c for c in _NAMES if c in held and c != numbers), None)
+    return _checked(zip(held[numbers], held[names], strict=True)) if numbers and names else {}
 
 
 def _names_of_nnunet(text: str) -> dict[int, str]:

@@ -21,19 +21,20 @@ from ablate.anatomy.volumes.label_map import (
     class_called,
     stem_of,
 )
-from ablate.anatomy.volumes.label_names import names_beside, names_in_header
+from ablate.anatomy.volumes.label_names import names_beside, names_in_header, tables_beside
 from ablate.anatomy.volumes.label_order import as_it_is, covered_masks, order_of_masks, read_order
 from ablate.anatomy.volumes.volume_file import SUFFIXES, VolumeFile, check_volume, slabs
 
 _MOST = 128  # different whole numbers in a volume of labels; TotalSegmentator has 118
 _OF_TABLE = 20  # so many labels of one volume may all be classes of TotalSegmentator
 _NUMBERED = range(105, 118)  # the last label of a version 2 that is no other version: version 1 ends at 104, MR at 56
+_SHOWN = 3  # names of tables in a line
 _AIR, _SKIN = -500, -300  # Hounsfield units: what reaches down to the first is a CT, and a body is above the second
 _BODIES = ("body", "skin", "torso", "trunk")  # beginnings of names of masks that are a body
 
 #: A proposal that says nothing yet, as scene.yaml.jinja reads it.
 _NOTHING: dict[str, Any] = {"file": "", "masks": [], "tissues": [], "body": None}
-_NOTHING |= dict.fromkeys(("table", "why", "maybe", "beside"), "")
+_NOTHING |= dict.fromkeys(("table", "why", "maybe", "beside", "unnamed"), "")
 
 
 @dataclass(frozen=True)
@@ -148,6 +149,7 @@ def _of_numbers(labelled: _Looked) -> dict[str, Any]:
         table, why = TABLE, f"guessed: {len(numbers)} labels without names, the last is {numbers[-1]}"
     elif not names and len(numbers) >= _OF_TABLE and numbers[-1] < _NUMBERED[0]:
         maybe = f"if they are TotalSegmentator's of version 2, task total, write `tissues: {TABLE}`"
+    unread = "" if names else ", ".join(_printable(table.name) for table in tables_beside(path)[:_SHOWN])
     if not names and len(numbers) == 1:
         names = {numbers[0]: stem_of(path)}
     tissues = [(n, *_tissue(names.get(n, ""))) for n in numbers]
@@ -159,6 +161,7 @@ def _of_numbers(labelled: _Looked) -> dict[str, Any]:
         "why": why,
         "maybe": maybe,
         "beside": beside,
+        "unnamed": unread and f"no name was found of each label, in the header nor beside it in {unread}",
     }
 
 
@@ -190,9 +193,13 @@ def _of_masks(masks: Sequence[_Looked], folder: Path, left_out: dict[str, str]) 
 
 def _tissue(name: str) -> tuple[str, str]:
     """The tissue that a name points to, and why, with the name."""
-    called = "".join(letter if letter.isprintable() else "?" for letter in name)
+    called = _printable(name)
     tissue, why = tissue_of_name(name)
     return tissue, f"{why}: {called}" if called else why
+
+
+def _printable(name: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
 def _try_as_body(proposal: dict[str, Any], image: _Looked, folder: Path, left_out: dict[str, str]) -> None:

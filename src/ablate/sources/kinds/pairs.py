@@ -152,7 +152,8 @@ class PairFolder:
             by_number = "the labels are ordered by number, and all count as solid tissue"
             left_out.append(f"tissues: without labels.csv {by_number}")
         if checked.probe and (odd := odd_lengths(checked.probe)):
-            left_out.append(f"nothing, but fan.yaml has {odd}; all sizes follow it, so it must be in mm, not in cm")
+            units = "all sizes follow it, so it must be in mm and degrees, not in cm"
+            left_out.append(f"nothing, but fan.yaml has {odd}; {units}")
         if checked.probe:
             described = fan_mask(checked.probe, (mask.shape[0], mask.shape[1]))
             unlike = float((described ^ mask).sum() / mask.sum())
