@@ -63,6 +63,8 @@ def _unreadable(error: OverrideParseException) -> str:
     key, is_given, value = error.override.partition("=")
     if not is_given:
         return f"{shown(key)}: allowed are key=value and the options of --help, no blank beside ="
+    if "[" in key:
+        return unknown_key(key)
     if value.startswith(("'", '"')):
         return _one_line(error)
     if any(value.count(left) != value.count(right) for left, right in ("[]", "{}", "()")):
@@ -149,7 +151,7 @@ def _unknown_key(cause: BaseException, text: str) -> str:
     is_unknown = r"(?:Key|key) '([^']+)' (?:is not in struct|not in '\w+')"
     if not key or not re.search(is_unknown, f"{text} {_one_line(cause)}"):
         return ""
-    typed = re.search(rf"override \W*({re.escape(key)}[\w.]*)=", text)  # of simulator.probe.x OmegaConf names a part
+    typed = re.search(rf"override \W*({re.escape(key)}[\w.]*)[=']", text)  # whole, of which OmegaConf names a part
     return unknown_key(typed[1] if typed else key)
 
 
