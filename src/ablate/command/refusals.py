@@ -12,7 +12,7 @@ from yaml import YAMLError
 from ablate.command.words import with_a_point
 from ablate.extras import installing
 from ablate.setting import did_you_mean, shown
-from ablate.settings.conf import CUSTOM, allowed_for, choices_of, keys, unknown_key
+from ablate.settings.conf import CUSTOM, allowed_for, choices_of, keys, nearest, unknown_key
 from ablate.settings.study import ConfigurationError
 
 # Launchers that Hydra knows where an extra is installed.
@@ -152,7 +152,7 @@ def _unknown_key(cause: BaseException, text: str) -> str:
     if not key or not re.search(is_unknown, f"{text} {_one_line(cause)}"):
         return ""
     typed = re.search(rf"override \W*({re.escape(key)}[\w.]*)[=']", text)  # whole, of which OmegaConf names a part
-    return unknown_key(typed[1] if typed else key)
+    return unknown_key(typed[1] if typed and not nearest(key) else key)
 
 
 def _of_own_network(refusal: str, words: Sequence[str]) -> str:
