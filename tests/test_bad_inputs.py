@@ -102,7 +102,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["+colour=blue"], r"unknown key 'colour'"),
     (["reference=sa9h"], r"reference=sa9h: allowed are .*sa2h"),
     (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
-    (["foo"], r"'foo': allowed are key=value and the options of --help"),
+    (["foo"], r"'foo': allowed are key=value and the options of --help, no blank beside ="),
     (["objective=val/nope"], r"objective=val/nope: allowed are val/psnr, .*test/psnr"),
     (["preset=paper", "evaluation.inception=no.pt", "task=plan"], r"evaluation\.inception=no\.pt: .*no\.pt"),
     (["metrics=fid"], r"metrics=fid: name one that every image has too"),

@@ -40,7 +40,7 @@ class Declaration:
     choices: tuple[str, ...] = ()  # texts that are allowed; empty where any is, and for an enum, which has its own
     unit: str = ""
     incidental: bool = False  # decides no result: devices, threads, paths, how often something is reported
-    is_path: bool = False  # of a file or folder; `~` at its beginning is the home of the user
+    is_path: bool = False  # of a file or folder; `~` is the home of the user, `$NAME` of the environment
 
     def range(self) -> str:
         """The range in words, such as `from 0 and below 1`; empty where there is none."""
@@ -174,7 +174,8 @@ def _checked(one: Setting, value: Any) -> Any:
     if kinds[0] not in (int, float):
         if (one.kind, value) == (str, "") or (one.kind is bool and not isinstance(value, bool)):
             raise ValueError
-        return os.path.expanduser(value) if one.declared.is_path and isinstance(value, str) else value  # noqa: PTH111
+        is_path = one.declared.is_path and isinstance(value, str)
+        return os.path.expandvars(os.path.expanduser(value)) if is_path else value  # noqa: PTH111
     if not isinstance(values, (tuple, list)) or len(values) != len(kinds):
         raise ValueError
     if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(values, kinds, strict=True)):

@@ -46,6 +46,38 @@ REFUSED = [
     (["scene.folder=/x", "task=plan"], "scene.folder='/x': the built-in anatomy has no folder; add scene=folder"),
     (["-m", "scene.folder=/x,/y"], "scene.folder='/x': the built-in anatomy has no folder"),
     (["study_name=a:b"], "not ':'"),
+    (["variant=[sa2h,nsa2h]"], "variant=[sa2h,nsa2h]: allowed is one for each job; type -m variant=sa2h,nsa2h"),
+    (["-m", "variant=[sa2h,nsa2h],[full]"], "allowed is one for each job"),
+    (["-m", "+study=[leave_one_out,encoding]"], "allowed is one for each job"),
+    (["scene=[fetal,folder]"], "allowed is one for each job"),
+    (["~tracking"], "~tracking: a setting cannot be removed, but have another value: tracking.experiment=..., and as"),
+    (["~seed"], "have another value: seed= whole numbers from 0"),
+    (["~preset"], "have another value: preset= one of fine, laptop, "),
+    (["~training.steps=6"], "have another value: training.steps= whole numbers from 1"),
+    (["+variant=nsa2h"], "+variant: one is chosen already; type variant= one of "),
+    (["++variant=nsa2h"], "+variant: one is chosen already; type variant= one of "),
+    (["variant="], "variant=: allowed are custom, "),
+    (["VARIANT=nsa2h"], "did you mean 'variant'?"),
+    (["training/learning_rate=1e-3"], "did you mean 'training.learning_rate'?"),
+    (["training[steps]=3"], "did you mean 'training.steps'?"),
+    (["lr=1e-3"], "did you mean 'training.learning_rate'?"),
+    (["training.lr=1e-3"], "did you mean 'training.learning_rate'?"),
+    (["epochs=3"], "unknown key 'epochs'; allowed"),
+    (["simulator.probe.frequency_mhz=5"], "did you mean 'probe.frequency_mhz'?"),
+    (["seed=[0,1]"], "seed=[0,1]: allowed are whole numbers from 0; for several jobs, type -m seed=0,1"),
+    (["seed=(0,1)"], "give it as seed= whole numbers from 0"),
+    (["training.learning_rate=10^-3"], "give it as training.learning_rate= numbers above 0"),
+    (["model={noise=input}"], "give it as model."),
+    (["metrics=[psnr,", "mae]"], "give it without blanks, and every bracket closed"),
+    (["metrics=psnr,mae"], "add -m, or type metrics=[psnr,mae]"),
+    (["simulator.image_shape=400,600"], "add -m, or type simulator.image_shape=[400,600]"),
+    (["-m", "variant=lsa2h,", "nsa2h"], "without the comma at its end, or the blank after it"),
+    (["variant", "=", "nsa2h"], "no blank beside ="),
+    (["training=quick"], "training: a group of settings; allowed are training."),
+    (["tracking=null"], "tracking: a group of settings; allowed are tracking."),
+    (["--config-path", "mine"], "--config-dir=FOLDER adds your files"),
+    (["--config-name", "mine"], "--config-dir=FOLDER adds your files"),
+    (["-m", "hydra/sweeper=basic", "seed=range(0,0)"], "-m: a sweep without a job"),
     (["study_name=x\u030c"], "not U+030C (Unicode: combining caron)"),
 ]
 
@@ -101,6 +133,30 @@ def test_a_tilde_is_the_home_of_the_user(key: str, monkeypatch: pytest.MonkeyPat
 def test_what_hydra_writes_goes_to_the_home_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", "/home/anna")
     assert composed(readable(["runs_dir=~/r"])).hydra.sweep.dir == "/home/anna/r/.hydra"
+
+
+def test_variables_of_the_environment_are_filled_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A number of SLURM's in a number; a path in single quotes or in a file, which no shell has read."""
+    monkeypatch.setenv("HERE", "/home/anna")
+    monkeypatch.setenv("NUMBER", "5")
+    (job,) = jobs_of(["runs_dir=$HERE/r", "seed=${oc.env:NUMBER}", "training.steps=${oc.env:NUMBER}"])
+    assert job.settings.runs_dir == "/home/anna/r"
+    assert (job.settings.seed, job.settings.training.seed, job.settings.training.steps) == (5, 5, 5)
+    assert composed(["runs_dir=$HERE/r"]).hydra.sweep.dir == "/home/anna/r/.hydra"
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("training: {stepz: 5}", "In 'mine': unknown key 'training.stepz'; did you mean 'training.steps'?"),
+        ("seed: many", "seed=many: allowed are whole numbers from 0"),
+    ],
+)
+def test_a_slip_in_a_file_is_answered_as_one_on_the_command_line(tmp_path: Path, line: str, said: str) -> None:
+    (tmp_path / "mine.yaml").write_text(f"defaults: [config, _self_]\n{line}\n")
+    with pytest.raises(ConfigurationError) as error:
+        execute(["preset=tiny", "--config-dir", str(tmp_path), "--config-name", "mine"])
+    assert said in str(error.value)
 
 
 NAMES = st.text(st.characters(codec="utf-8", categories=("Ll", "Lu", "Lo", "Nd")), min_size=1, max_size=12)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any, get_origin
 
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException, ValidationError
@@ -11,7 +12,7 @@ from yaml import YAMLError
 from ablate.command.words import with_a_point
 from ablate.extras import installing
 from ablate.setting import did_you_mean, shown
-from ablate.settings.conf import CUSTOM, conf_folder, keys, unknown_key
+from ablate.settings.conf import CUSTOM, allowed_for, choices_of, keys, nearest, unknown_key
 from ablate.settings.study import ConfigurationError
 
 # Launchers that Hydra knows where an extra is installed.
@@ -61,10 +62,19 @@ def _unreadable(error: OverrideParseException) -> str:
     """A word that is not of Hydra's grammar, with what helps."""
     key, is_given, value = error.override.partition("=")
     if not is_given:
-        return f"{shown(key)}: allowed are key=value and the options of --help"
+        return f"{shown(key)}: allowed are key=value and the options of --help, no blank beside ="
+    if "[" in key:
+        return unknown_key(key)
     if value.startswith(("'", '"')):
         return _one_line(error)
-    hint = "without the comma at its end" if value.endswith(",") else f"in quotes: \"{key}='...'\""
+    if any(value.count(left) != value.count(right) for left, right in ("[]", "{}", "()")):
+        hint = "without blanks, and every bracket closed"
+    elif value.endswith(","):
+        hint = "without the comma at its end, or the blank after it"
+    elif allowed_for(key) and (key not in keys() or keys()[key].kind is not str):
+        hint = f"as {allowed_for(key)}"
+    else:
+        hint = f"in quotes: \"{key}='...'\""
     return f"{key}: Hydra cannot read the value {shown(value)}; give it {hint}"
 
 
@@ -72,7 +82,7 @@ def _of_a_group(words: Sequence[str]) -> str:
     """A word that names a group of conf/ with a value that is no name; empty where there is none."""
     for word in words:
         group, _, value = word.partition("=")
-        names = sorted(path.stem for path in (conf_folder() / group).glob("*.yaml")) if group else []
+        names = choices_of(group)
         if names and value not in names:
             return f"{word}: allowed are {', '.join(names)}{did_you_mean(value, names)}"
     return ""
@@ -88,13 +98,22 @@ def _explained(error: Exception) -> str:
             return f"hydra/sweeper: {sweeper} is not installed: pip install {package}"
     if group := re.search(r"No match in the defaults list.\s+To append .* use \+(\S+)$", str(error)):
         return f"{group[1]}: nothing is chosen of this group yet; type +{group[1]}"
-    unknown_choice = r"Could not find '(.+)/([^/]+)'\s+Available options in '.+?':(.*?)\n\s*Config search"
+    unknown_choice = r"Could not find '(.+)/([^/]*)'\s+Available options in '.+?':(.*?)\n\s*Config search"
     if choice := re.search(unknown_choice, str(error), re.S):
         names = choice[3].split()
         return f"{choice[1]}={choice[2]}: allowed are {', '.join(names)}{did_you_mean(choice[2], names)}"
     if several := re.search(r"Ambiguous value for argument '(.*)'", str(error)):
-        return f"'{several[1]}' asks for several jobs: add -m"
-    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+        key, _, value = several[1].partition("=")
+        is_list = key in keys() and (keys()[key].kind is Any or get_origin(keys()[key].kind) is tuple)
+        return f"'{several[1]}' asks for several jobs: add -m" + (f", or type {key}=[{value}]" if is_list else "")
+    if twice := re.search(r"Multiple values for (\S+)\. To override|force-add of .*: '\++([^=]+)=", str(error)):
+        key = twice[1] or twice[2]
+        return f"+{key}: one is chosen already; type {allowed_for(key) or f'{key}=...'}"
+    if "Primary config module" in str(error) or "Cannot find primary config" in str(error):
+        return (
+            f"{_one_line(error)}; --config-dir=FOLDER adds your files to those of ablate, --config-name=FILE takes one"
+        )
+    cause = next((e for e in (error.__cause__, error.__context__) if isinstance(e, OmegaConfBaseException)), error)
     if isinstance(cause, ValidationError) and (refused := _of_another_type(cause, str(error))):
         return refused
     text = _one_line(error).partition("; Config search path")[0]
@@ -103,7 +122,9 @@ def _explained(error: Exception) -> str:
         text = f"{key}: {text}" if key and key not in text else text
     else:
         text = f"{text}: {_one_line(cause)}"
-    return _unknown_key(cause, text) or text.removeprefix("Error merging override ")
+    file = re.match(r"In '[^']+': ", text)
+    refused = _unknown_key(cause, text)
+    return f"{file[0] if file else ''}{refused}" if refused else text.removeprefix("Error merging override ")
 
 
 def _of_another_type(cause: ValidationError, text: str) -> str:
@@ -112,11 +133,15 @@ def _of_another_type(cause: ValidationError, text: str) -> str:
     if key not in keys():  # as probe.kind, which is that of its keys
         of_enum = re.search(r"value '(.*)', expected one of \[(.*)\]", str(cause))
         names = of_enum[2].split(", ") if of_enum else []
-        return f"{key}={of_enum[1]}: allowed are {of_enum[2]}{did_you_mean(of_enum[1], names)}" if of_enum else ""
+        if of_enum:
+            return f"{key}={of_enum[1]}: allowed are {of_enum[2]}{did_you_mean(of_enum[1], names)}"
+        return f"{key}: a group of settings; allowed are {allowed_for(key)}" if allowed_for(key) else ""
     typed = re.search(rf"override {re.escape(key)}=(.*)", text) or re.search(r"[vV]alue '(.*?)'", str(cause))
     value = typed[1] if typed else "..."
     whole = re.fullmatch(r"[-+]?\d+(\.\d*)?(e\+?\d+)?", value, re.IGNORECASE)
     hint = f"; type {key}={float(value):.0f}" if keys()[key].kind is int and whole and float(value) % 1 == 0 else ""
+    if value.startswith("["):
+        hint = f"; for several jobs, type -m {key}={value.strip('[]')}"
     return f"{key}={value}: allowed are {keys()[key].allowed}{hint}{did_you_mean(value, keys()[key].choices)}"
 
 
@@ -126,7 +151,8 @@ def _unknown_key(cause: BaseException, text: str) -> str:
     is_unknown = r"(?:Key|key) '([^']+)' (?:is not in struct|not in '\w+')"
     if not key or not re.search(is_unknown, f"{text} {_one_line(cause)}"):
         return ""
-    return unknown_key(key)
+    typed = re.search(rf"override \W*({re.escape(key)}[\w.]*)[=']", text)  # whole, of which OmegaConf names a part
+    return unknown_key(typed[1] if typed and not nearest(key) else key)
 
 
 def _of_own_network(refusal: str, words: Sequence[str]) -> str:

@@ -82,8 +82,8 @@ def _probe(root: DictConfig) -> Probe:
 
 
 def _home(path: str) -> str:
-    """A path with the user's home in place of a `~` at its beginning, as settings have it."""
-    return os.path.expanduser(path)  # noqa: PTH111  # any text, as it is typed
+    """A path with the user's home in place of a `~` at its beginning, and variables filled in, as settings have it."""
+    return os.path.expandvars(os.path.expanduser(path))  # noqa: PTH111  # any text, as it is typed
 
 
 def _png_shape(*, _root_: DictConfig) -> list[int]:

@@ -65,7 +65,9 @@ def settings(config: DictConfig) -> StudySettings:
 
     A value outside its allowed range is a ValueError that names it.
     """
-    without_hydra = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    values = OmegaConf.to_container(without_hydra, resolve=True, throw_on_missing=True)
-    assert isinstance(values, dict)
-    return build(StudySettings, {str(k): v for k, v in values.items()})
+    values = {str(key): config[key] for key in config if key != "hydra"}  # a text that ${oc.env:X} gives, as its type
+    plain = {
+        key: OmegaConf.to_container(value, resolve=True, throw_on_missing=True) if OmegaConf.is_config(value) else value
+        for key, value in values.items()
+    }
+    return build(StudySettings, plain)

@@ -12,7 +12,7 @@ from functools import cache
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
-from ablate.settings.conf import keys, nearest
+from ablate.settings.conf import allowed_for, choices_of, keys, nearest
 from ablate.settings.study import ConfigurationError
 
 #: Options of Hydra's parser, the long ones also cut short, and whether a value follows; a test reads `--hydra-help`.
@@ -43,6 +43,8 @@ def readable(words: Sequence[str]) -> list[str]:
         word = left.popleft()
         if word[:1] != "-":
             _check_comma(word)
+            _check_choice(word)
+            _check_removal(word)
             settings.append(_readable(word))
             continue
         name = word.partition("=")[0]
@@ -87,6 +89,21 @@ def _check_comma(word: str) -> None:
     """Refuse a number with a comma in it, such as `0,001` or `1,000`; no value of a list has such zeros in front."""
     if hint := with_a_point(word, r"0\d+"):
         raise ConfigurationError(f"{word}: a comma separates the values of several jobs; {hint}")
+
+
+def _check_choice(word: str) -> None:
+    """Refuse several files of a group of ours for one job, of which Hydra takes the last: `variant=[sa2h,nsa2h]`."""
+    key, _, value = word.partition("=")
+    several = re.search(r"\[([^]]*,[^]]*)\]", value)
+    if several and choices_of(key.lstrip("+")):
+        raise ConfigurationError(f"{word}: allowed is one for each job; type -m {key}={several[1]}")
+
+
+def _check_removal(word: str) -> None:
+    """Refuse `~tracking`, after which its settings have other values, and nothing says so."""
+    key = word[1:].partition("=")[0]
+    if word[:1] == "~" and (allowed := allowed_for(key)):
+        raise ConfigurationError(f"{word}: a setting cannot be removed, but have another value: {allowed}")
 
 
 def with_a_point(word: str, after: str = r"\d+") -> str:

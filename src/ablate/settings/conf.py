@@ -1,5 +1,6 @@
 """From plain values, as Hydra composes them or JSON stores them, to frozen settings; the table of all keys; conf/."""
 
+import re
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -66,7 +67,8 @@ def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
 
 def unknown_key(key: str) -> str:
     """What is said of a key that there is not: the one that is meant, and those beside it."""
-    meant, parent, beside = nearest(key), key.rpartition(".")[0], ", ".join(_beside(key))
+    meant, parent = nearest(key), key.rpartition(".")[0]
+    beside = ", ".join(names_in(parent))
     hint = f"; did you mean '{meant}'?" if meant else ";" if beside else ""
     return f"unknown key '{key}'{hint}" + (f" allowed{' in ' + parent if parent else ''}: {beside}" if beside else "")
 
@@ -74,23 +76,40 @@ def unknown_key(key: str) -> str:
 def nearest(key: str) -> str:
     """The known keys that a wrong one may stand for, joined by `or`; empty where none is like it.
 
-    They are those of any group with its last part, or else the most similar one, first of its own group.
+    They are those of any group with its last part, or with its letters as their initials, such as `lr`, or else the
+    most similar one, first of its own group.
     """
     known = list(keys())
-    parent, _, last = key.rpartition(".")
+    parent, _, last = re.sub(r"[/\[]", ".", key.lower()).rstrip("]").rpartition(".")
     if alike := [other for other in known if other.rpartition(".")[2] == last]:
         return " or ".join(alike)
-    if close := get_close_matches(last, _beside(key), n=1):
+    if short := [other for other in known if len(last) > 1 and _initials(other) == last]:
+        return " or ".join(short)
+    if close := get_close_matches(last, names_in(parent), n=1, cutoff=0.65):
         return f"{parent}.{close[0]}".lstrip(".")
     last_parts = {other.rpartition(".")[2]: other for other in reversed(known)}
     close = get_close_matches(last, last_parts, n=1, cutoff=0.75)
     return last_parts[close[0]] if close else ""
 
 
-def _beside(key: str) -> list[str]:
-    """The names of settings and groups in the group of a key."""
-    prefix = key[: key.rfind(".") + 1]
+def _initials(key: str) -> str:
+    return "".join(word[0] for word in key.rpartition(".")[2].split("_"))
+
+
+def names_in(group: str) -> list[str]:
+    """The names of settings and groups in a group such as `training`, or in none, which is empty text."""
+    prefix = f"{group}." if group else ""
     return sorted({known.removeprefix(prefix).partition(".")[0] for known in keys() if known.startswith(prefix)})
+
+
+def allowed_for(key: str) -> str:
+    """What may be typed of a key, a group of settings or a group of conf/, as `training.steps=`; empty for others."""
+    if names := choices_of(key):  # `variant` is a key, too
+        return f"{key}= one of {', '.join(names)}"
+    if key in keys():
+        return f"{key}= one of {keys()[key].allowed}" if keys()[key].choices else f"{key}= {keys()[key].allowed}"
+    names = names_in(key) if key else []
+    return f"{key}.{names[0]}=..., and as this {', '.join(names[1:])}" if names else ""
 
 
 def conf_folder() -> Path:
@@ -98,6 +117,11 @@ def conf_folder() -> Path:
     package = Path(ablate.__file__).parent
     inside = package / "conf"
     return inside if inside.is_dir() else package.parents[1] / "conf"
+
+
+def choices_of(group: str) -> list[str]:
+    """The names of the files in a group of conf/, such as `variant`; empty for anything else."""
+    return sorted(path.stem for path in (conf_folder() / group).glob("*.yaml")) if group else []
 
 
 def variant_names() -> tuple[str, ...]:

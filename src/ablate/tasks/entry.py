@@ -131,6 +131,8 @@ def run_sweep(
     for line, config in zip(lines, configs, strict=True):
         refuse_other_launcher(master, config, [word for word in line if word.partition("=")[0] in swept])
     jobs = [job_of(line, swept, fixed, config) for line, config in zip(lines, configs, strict=True)]
+    if not jobs:  # Hydra's own sweeper launches them too
+        raise ConfigurationError("-m: a sweep without a job; allowed is at least one value of each key")
 
     def start_some(chosen: Sequence[Job], work: Work) -> None:
         numbers = [jobs.index(job) for job in chosen]
