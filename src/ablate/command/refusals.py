@@ -113,7 +113,8 @@ def _explained(error: Exception) -> str:
         return (
             f"{_one_line(error)}; --config-dir=FOLDER adds your files to those of ablate, --config-name=FILE takes one"
         )
-    cause = next((e for e in (error.__cause__, error.__context__) if isinstance(e, OmegaConfBaseException)), error)
+    chain = (error.__cause__, error, error.__context__)
+    cause = next((e for e in chain if isinstance(e, OmegaConfBaseException)), error)
     if isinstance(cause, ValidationError) and (refused := _of_another_type(cause, str(error))):
         return refused
     text = _one_line(error).partition("; Config search path")[0]

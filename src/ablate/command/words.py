@@ -95,7 +95,7 @@ def _check_choice(word: str) -> None:
     """Refuse several files of a group of ours for one job, of which Hydra takes the last: `variant=[sa2h,nsa2h]`."""
     key, _, value = word.partition("=")
     several = re.search(r"\[([^]]*,[^]]*)\]", value)
-    if several and choices_of(key.lstrip("+")):
+    if several and set(several[1].split(",")) & set(choices_of(key.lstrip("+"))):
         raise ConfigurationError(f"{word}: allowed is one for each job; type -m {key}={several[1]}")
 
 
