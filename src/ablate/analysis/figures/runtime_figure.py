@@ -26,7 +26,7 @@ SIMULATOR_COLOUR = "#888888"
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
 _FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
 _TITLE_LETTERS = 60  # of a line above a panel
-_AXIS_LETTERS = 38  # of a line beside it
+_AXIS_LETTERS = 38  # of a line beside it, with its unit
 
 
 def error_vs_runtime(
@@ -101,9 +101,11 @@ def _draw_panel(
         lines = textwrap.fill("beyond the axis: " + "; ".join(values), _TITLE_LETTERS)
         axes.set_title(lines, fontsize=6, color="#555555")
     side = "below" if judge.better is Direction.higher else "above"
-    unit = f" ({judge.unit})" if judge.unit else ""
-    ordinate = f"{judge.label} {side} re-simulation{unit}" if relative else judge.title
-    axes.set(xlabel="median time, ms a frame", ylabel=textwrap.fill(ordinate, _AXIS_LETTERS))
+    unit = f"({judge.unit})" if judge.unit else ""
+    ordinate = f"{judge.label} {side} re-simulation {unit}" if relative else judge.title
+    if unit and len(ordinate) > _AXIS_LETTERS:
+        ordinate = ordinate.replace(f" {unit}", f"\n{unit}")
+    axes.set(xlabel="median time, ms a frame", ylabel=ordinate.strip())
     axes.set_xlim(left=0.0)
     axes.margins(x=0.15, y=0.1)
     return list(shown["name"]), ms, y
