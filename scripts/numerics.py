@@ -21,8 +21,7 @@ import pandas as pd
 
 from ablate.analysis import error_vs_runtime
 from ablate.metrics import METRICS
-from ablate.numerics.precision.bench import OTHER_SERIES
-from ablate.numerics.precision.figures import draw, renderers
+from ablate.numerics.precision.figures import draw, renderers, resimulation_level
 from ablate.numerics.precision.task import tables, verdict
 from ablate.numerics.precision.worth import worth
 
@@ -99,10 +98,8 @@ def draw_for_readme() -> None:
     usual = f"rays {RAYS['_teacher']}"
     shown = renderers(points, usual)
     shown = shown[shown["setting"] != LEFT_OUT]
-    resimulated = points[(points["series"] == OTHER_SERIES) & (points["setting"] == usual)]
-    level = dict(zip(resimulated["metric"], resimulated["error"], strict=True))
     with TemporaryDirectory() as folder:
-        error_vs_runtime(shown, Path(folder) / "worth", level, MACHINE)
+        error_vs_runtime(shown, Path(folder) / "worth", resimulation_level(points, usual), MACHINE)
         shutil.copy(Path(folder) / "worth.png", DOCS)
 
 

@@ -82,6 +82,8 @@ def test_names_have_room_where_points_are_dense():
         ("simulator, axial samples", "384", "384 axial samples"),
         ("simulator, other scatterers", "axial samples 384", "384 axial samples"),
         ("simulator, combined", "rays 2, layers 1", "2 rays, 1 layer"),
+        ("simulator, combined", "layers 1, compound angles 1", "1 layer, 1 angle"),
+        ("simulator, compound angles", "5", "5 angles"),
     ],
 )
 def test_settings_are_named_as_one_says_them(series, setting, name):

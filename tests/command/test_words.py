@@ -50,7 +50,10 @@ REFUSED = [
     (["-m", "variant=[sa2h,nsa2h],[full]"], "allowed is one for each job"),
     (["-m", "+study=[leave_one_out,encoding]"], "allowed is one for each job"),
     (["scene=[fetal,folder]"], "allowed is one for each job"),
-    (["~tracking"], "~tracking: a setting cannot be removed, but have another value: tracking.experiment=..., and as"),
+    (
+        ["~tracking"],
+        "~tracking: a setting cannot be removed, but have another value: tracking.NAME=..., where NAME is one of",
+    ),
     (["~seed"], "have another value: seed= whole numbers from 0"),
     (["~preset"], "have another value: preset= one of fine, laptop, "),
     (["~training.steps=6"], "have another value: training.steps= whole numbers from 1"),

@@ -86,7 +86,7 @@ def processes_at_a_time(asked: int, jobs: int, gpus: int) -> int:
     """How many jobs run side by side: as many as were asked for, and for -1 one a core.
 
     Where the machine has several GPUs, -1 is one a GPU. Elsewhere it is one more than cores if the last job would
-    otherwise run alone, beside idle cores: three jobs on two cores then take three halves of a job's time, not twice.
+    otherwise run alone, beside idle cores: three jobs on two cores then take 1.5 times as long as one, not twice.
     """
     if asked > 0:
         return asked

@@ -103,13 +103,13 @@ def names_in(group: str) -> list[str]:
 
 
 def allowed_for(key: str) -> str:
-    """What may be typed of a key, a group of settings or a group of conf/, as `training.steps=`; empty for others."""
+    """What may be typed of a key, a group of settings or a group of conf/, empty for others."""
     if names := choices_of(key):  # `variant` is a key, too
         return f"{key}= one of {', '.join(names)}"
     if key in keys():
         return f"{key}= one of {keys()[key].allowed}" if keys()[key].choices else f"{key}= {keys()[key].allowed}"
     names = names_in(key) if key else []
-    return f"{key}.{names[0]}=..., and as this {', '.join(names[1:])}" if names else ""
+    return f"{key}.NAME=..., where NAME is one of {', '.join(names)}" if names else ""
 
 
 def conf_folder() -> Path:

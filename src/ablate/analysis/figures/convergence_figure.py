@@ -67,8 +67,8 @@ def named_setting(series: str, setting: str) -> str:
     what = series.removeprefix("simulator, ")
     parts = str(setting).split(", ")
     values = [part.rpartition(" ") if " " in part else (what, " ", part) for part in parts]
-    values = [(name.removeprefix("compound "), space, value) for name, space, value in values]
-    return ", ".join(f"{value} {name.removesuffix('s') if value == '1' else name}" for name, _, value in values)
+    named = [(name.removeprefix("compound "), value) for name, _, value in values]
+    return ", ".join(f"{value} {name.removesuffix('s') if value == '1' else name}" for name, value in named)
 
 
 def _plain_numbers(axis: Axis) -> None:

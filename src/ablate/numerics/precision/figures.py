@@ -34,12 +34,17 @@ def draw(errors: pd.DataFrame, rays: int, folder: Path, machine: str) -> tuple[l
         The figures, and the re-simulation's value by metric.
     """
     usual = f"rays {rays}"
-    resimulated = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == usual)]
-    level = dict(zip(resimulated["metric"], resimulated["error"], strict=True))
+    level = resimulation_level(errors, usual)
     return [
         *convergence_figure(errors, folder / "precision", machine),
         *error_vs_runtime(renderers(errors, usual), folder / "renderers", level, machine),
     ], level
+
+
+def resimulation_level(errors: pd.DataFrame, usual: str) -> dict[str, float]:
+    """The error of re-simulation by metric: the simulator at the settings of the data set, `usual`."""
+    resimulated = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == usual)]
+    return dict(zip(resimulated["metric"], resimulated["error"], strict=True))
 
 
 def renderers(errors: pd.DataFrame, usual: str) -> pd.DataFrame:
