@@ -105,7 +105,9 @@ def _explained(error: Exception) -> str:
     if several := re.search(r"Ambiguous value for argument '(.*)'", str(error)):
         key, _, value = several[1].partition("=")
         is_list = key in keys() and (keys()[key].kind is Any or get_origin(keys()[key].kind) is tuple)
-        return f"'{several[1]}' asks for several jobs: add -m" + (f", or type {key}=[{value}]" if is_list else "")
+        hint = f", or type {key}=[{value}]" if is_list else ""
+        is_known = allowed_for(key) or not nearest(key)
+        return f"'{several[1]}' asks for several jobs: add -m{hint}" + ("" if is_known else f"; {unknown_key(key)}")
     if twice := re.search(r"Multiple values for (\S+)\. To override|force-add of .*: '\++([^=]+)=", str(error)):
         key = twice[1] or twice[2]
         return f"+{key}: one is chosen already; type {allowed_for(key) or f'{key}=...'}"

@@ -12,6 +12,7 @@ from functools import cache
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
+from ablate.setting import did_you_mean
 from ablate.settings.conf import allowed_for, choices_of, keys, nearest
 from ablate.settings.study import ConfigurationError
 
@@ -21,6 +22,13 @@ OPTIONS = {
     **dict.fromkeys(("-h", "-r", "-m", "--shell-completion", "-sc"), False),
     **dict.fromkeys(("--cfg", "--package", "--config-path", "--config-name", "--config-dir"), True),
     **dict.fromkeys(("-c", "-p", "-cp", "-cn", "-cd", "--experimental-rerun", "--info", "-i"), True),
+}
+_CFG = ("--cfg", "-c")
+_INFO = ("--info", "-i")
+#: What may follow an option of these; `--info` alone means all of it.
+_CHOICES = {
+    **dict.fromkeys(_CFG, ("job", "hydra", "all")),
+    **dict.fromkeys(_INFO, ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")),
 }
 MULTIRUN = ("-m", "--multirun")
 
@@ -34,26 +42,35 @@ def readable(words: Sequence[str]) -> list[str]:
     """The words after `python -m ablate` as Hydra reads them: settings, then options, whose order it minds.
 
     A text that its grammar cannot read, such as a path with `~`, is put in quotes, unless it may stand for several
-    values. What looks like an option and is none is a ConfigurationError that says how the setting is typed.
+    values. What looks like an option and is none is a ConfigurationError that says how the setting is typed, and so is
+    an option without what follows it.
     """
     settings: list[str] = []
     options: list[str] = []
+    named: set[str] = set()
     left = deque(words)
     while left:
         word = left.popleft()
         if word[:1] != "-":
+            _check_dash(word)
             _check_comma(word)
             _check_choice(word)
             _check_removal(word)
             settings.append(_readable(word))
             continue
-        name = word.partition("=")[0]
+        name, _, value = word.partition("=")
         option = next((o for o in OPTIONS if o == name or (len(name) > 2 and o.startswith(name))), None)
         if option is None:
             raise ConfigurationError(_no_option(word, left[0] if left else ""))
         options.append(word)
         if OPTIONS[option] and left and "=" not in word + left[0]:
-            options.append(left.popleft())
+            value = left.popleft()
+            options.append(value)
+        _check_option(option, value)
+        named.add(option)
+    if named & {"--package", "-p"} and not named & set(_CFG):
+        raise ConfigurationError("--package names what --cfg shows: add --cfg job")
+    _check_once(settings)
     return [*settings, *options]
 
 
@@ -83,6 +100,29 @@ def _no_option(word: str, following: str) -> str:
         return f"{name}: a setting is typed without dashes: {known}={value or '...'}"
     options = ", ".join(option for option in OPTIONS if option[:2] == "--")
     return f"{name}: no such option; allowed are key=value and {options}"
+
+
+def _check_dash(word: str) -> None:
+    """Refuse the long dash that a page or a letter makes of `-m`."""
+    if word[:1] in ("\N{EN DASH}", "\N{EM DASH}", "\N{MINUS SIGN}"):
+        raise ConfigurationError(f"{word}: begins with a long dash; type -{word[1:]}")
+
+
+def _check_option(option: str, value: str) -> None:
+    """Refuse an option without what follows it, of which Hydra's parser prints a page."""
+    allowed = ", ".join(_CHOICES.get(option, ()))
+    if value and allowed and value not in _CHOICES[option]:
+        raise ConfigurationError(f"{option} {value}: allowed are {allowed}{did_you_mean(value, _CHOICES[option])}")
+    if OPTIONS[option] and not value and option not in _INFO:
+        raise ConfigurationError(f"{option}: nothing follows it; allowed are {allowed or 'a name or a path'}")
+
+
+def _check_once(settings: Sequence[str]) -> None:
+    """Refuse a group of ours that is chosen twice, once with `+`; Hydra takes one of the two and says nothing."""
+    typed = {word.partition("=")[0] for word in settings}
+    for key in typed:
+        if key[:1] == "+" and key.lstrip("+") in typed and choices_of(key.lstrip("+")):
+            raise ConfigurationError(f"{key}: one is chosen already; type {allowed_for(key.lstrip('+'))}")
 
 
 def _check_comma(word: str) -> None:
