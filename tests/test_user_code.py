@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from ablate.user_code import code_digest, load
 
@@ -128,3 +129,13 @@ def test_what_cannot_be_loaded_is_said_in_one_line(path: str, message: str) -> N
         load(path)
     with pytest.raises(ValueError, match=f"^{message}$"):
         code_digest(path)
+
+
+def test_the_default_type_of_torch_that_a_module_sets_is_undone_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, {"in_double.py": "import torch\ntorch.set_default_dtype(torch.float64)\ndef measure(): pass\n"})
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match="sets torch's default dtype"):
+        load("in_double.measure")
+    assert torch.get_default_dtype() is torch.float32

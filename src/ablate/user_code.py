@@ -29,9 +29,19 @@ def load(path: str) -> Any:
     if not module:
         raise ValueError("names no module")
     try:
-        return getattr(import_module(module), name)
+        loaded = getattr(import_module(module), name)
+        check_dtype()
+        return loaded
     except (Exception, SystemExit) as error:  # whatever the user's module does
         raise ValueError(describe_error(error)) from error
+
+
+def check_dtype() -> None:
+    """Undo what the user's code has set with `torch.set_default_dtype`, and refuse it: it holds for all networks."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.get_default_dtype() is not torch.float32:
+        torch.set_default_dtype(torch.float32)
+        raise ValueError("sets torch's default dtype, also of other networks; allowed is dtype= of its own tensors")
 
 
 def load_anew(path: str) -> Any:

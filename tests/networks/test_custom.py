@@ -52,6 +52,16 @@ class SeedsAsItRenders(Sum):
         torch.manual_seed(0)
         return super().forward(maps) + torch.randn_like(maps[:, :1])
 
+class SetsTheType(Sum):
+    def __init__(self, channels):
+        torch.set_default_dtype(torch.float64)
+        super().__init__(channels)
+
+class SetsTheTypeAsItRenders(Sum):
+    def forward(self, maps):
+        torch.set_default_dtype(torch.float64)
+        return super().forward(maps)
+
 class OfOneSize(Sum):
     def __init__(self, channels):
         super().__init__(channels)
@@ -293,6 +303,8 @@ def test_its_sizes() -> None:
         ("NoChannels", r"networks_of_a_user.NoChannels\(2\) fails: TypeError"),
         ("Seeds", "seeds torch .*so that training.seed decides nothing"),
         ("SeedsAsItRenders", "seeds torch .*so that training.seed decides nothing"),
+        ("SetsTheType", r".* fails: ValueError: sets torch's default dtype, also of other networks"),
+        ("SetsTheTypeAsItRenders", r".* fail: ValueError: sets torch's default dtype"),
         ("OfOneSize", "an image of 64 x 32 px fails, as frames are larger than crops: RuntimeError"),
         ("number", "is no class of torch.nn.Module"),
         ("Missing", "AttributeError.*allowed is the path of a class"),
@@ -302,6 +314,7 @@ def test_what_is_wrong_with_a_class_is_named(name: str, message: str) -> None:
     with pytest.raises(ValueError, match=f"^target=networks_of_a_user.{name}: {message}"):
         check_custom(spec(name), 32)
     check_custom(spec("Sum"), 32)
+    assert torch.get_default_dtype() is torch.float32
 
 
 @pytest.mark.parametrize("name", UNSAVED)

@@ -93,9 +93,9 @@ def test_the_cine_loop_is_played_until_it_is_switched_off(client: Client, viewer
     client.until(played)
     assert viewer.session.frozen
     client.set("Cine: play", False)
-    time.sleep(1.0)
+    time.sleep(0.5)
     before, computed = viewer.page.shown, dict(viewer.worker.computed)
-    time.sleep(1.0)
+    time.sleep(0.5)
     assert viewer.page.shown is before
     assert viewer.worker.computed == computed
     viewer.session.freeze(False)

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from ablate.networks.custom_settings import check_taken
 from ablate.networks.spec import GeneratorSpec, input_channels
-from ablate.user_code import describe_error, load
+from ablate.user_code import check_dtype, describe_error, load
 
 
 class CustomNetwork(nn.Module):
@@ -32,6 +32,7 @@ class CustomNetwork(nn.Module):
         check_taken(network_class, self.target, spec.settings)
         try:
             self.inner: nn.Module = network_class(channels, **deepcopy(spec.settings))
+            check_dtype()
         except (Exception, SystemExit) as error:  # whatever the user's class does
             given = ", ".join([str(channels), *(f"{name}={value!r}" for name, value in spec.settings.items())])
             raise ValueError(f"target={self.target}: {self.target}({given}) fails: {describe_error(error)}") from error

@@ -13,7 +13,7 @@ from torch.nn.parameter import UninitializedParameter
 from ablate.networks.custom import CustomNetwork
 from ablate.networks.spec import GeneratorSpec, input_channels
 from ablate.networks.stored import check_calls
-from ablate.user_code import describe_error, load_anew
+from ablate.user_code import check_dtype, describe_error, load_anew
 
 _STEPS = 2  # of a trial
 _MOST_APART = 0.01  # of an image in [-1, 1] between two renderings; a GPU may round differently each time
@@ -41,7 +41,9 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
     tried = f"two images of {maps.shape[2]} x {maps.shape[3]} px fail"
     try:
         with _evaluating(network):
-            _check_image(network(maps, [], []), where)  # what it keeps of images now is old when it is trained
+            image = network(maps, [], [])
+            check_dtype()
+            _check_image(image, where)  # what it keeps of images now is old when it is trained
         optimizer = torch.optim.Adam(network.parameters(), 1e-3)
         for _ in range(_STEPS):
             image = network(maps, [], [])
