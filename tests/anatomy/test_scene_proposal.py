@@ -87,7 +87,12 @@ def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
         *[
             ("heart_left_ventricle", "blood"),
             ("left_ventricle_myocardium", "myocardium"),
+            ("left_ventricle", "blood"),
+            ("ventricle_right", "blood"),
             ("lateral_ventricle_left", "csf"),
+            ("Left-Lateral-Ventricle", "csf"),
+            ("3rd-Ventricle", "csf"),
+            ("ventricles", "csf"),
             ("hip_left", "bone"),
             ("tibia", "bone"),
         ],
