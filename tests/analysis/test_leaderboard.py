@@ -2,6 +2,7 @@
 
 import re
 from random import Random
+from unittest import mock
 
 import numpy as np
 import pandas as pd
@@ -10,9 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ablate import analysis
-from ablate.analysis import RESIMULATION
+from ablate.analysis import RESIMULATION, verdict_table
 from ablate.analysis.leaderboard import SCREEN_COLUMNS
 from ablate.metrics import METRICS, Shown, shown_in
+from ablate.study.compare import Compared, on_screen
+from ablate.study.run import COMPARISON
 
 NAMES = st.lists(
     st.from_regex(r"[a-z]{2,12}(-[a-z]{2,8}){0,3}(\.[a-z]{2,12}-[a-z0-9]{1,9}){0,5}", fullmatch=True),
@@ -73,6 +76,18 @@ def test_the_order_is_that_of_the_first_metric_that_judges(metric: str, first: s
     assert analysis.ranked_by(table) == (metric if first else None)
     assert analysis.best_first(table)[0] == (first or "a")
     assert analysis.ranked_by(table_of(comparison({"a": {"psnr": 1.0, "pchi2": 1.0}}))) == "pchi2"
+
+
+def test_a_metric_that_no_screen_shows_otherwise_is_shown_where_networks_are_ordered_by_it(tmp_path) -> None:
+    """Times are not there where jobs ran elsewhere, so that no column was left."""
+    comparison_folder = tmp_path / COMPARISON
+    comparison_folder.mkdir()
+    verdict_table(NOTHING, None, []).to_csv(comparison_folder / "verdicts.csv", index=False)
+    for metric, shown in (("mae_fan", "fan"), ("motion_screen", "Best    no metric")):
+        scalars = comparison({"sa2h": {metric: 2.0}, "b": {metric: 1.0}})
+        results = mock.Mock(claims=analysis.seed_claims(NOTHING, scalars))
+        study = mock.Mock(table=table_of(scalars), results=results, folder=tmp_path, reference="sa2h")
+        assert shown in on_screen(Compared(study, ()), "make ui")
 
 
 WORDS = {

@@ -92,7 +92,7 @@ def to_text(table: pd.DataFrame, columns: int = SCREEN_COLUMNS) -> str:
     printed = {metric: [_value(cells[variant, metric]) for variant in order] for metric in metrics}
     widths = {metric: max(map(len, [*titles[metric], *printed[metric]])) for metric in metrics}
     names = {variant: _filled(re.split(r"(?=\.)", variant), "", _NAME_COLUMNS) for variant in order}
-    width = max(len(line) for lines in names.values() for line in lines)
+    width = max((len(line) for lines in names.values() for line in lines), default=0)
     ends = np.cumsum([width, *(_GAP + widths[metric] for metric in metrics)])
     shown = metrics[: int((ends[1:] <= columns).sum())]
     depth = max((len(titles[metric]) for metric in shown), default=1)

@@ -94,12 +94,13 @@ def on_screen(compared: Compared, look: str) -> str:
     study, folder = compared.study, compared.study.folder / COMPARISON
     notes = [f"Note: {note}" for note in (*compared.notes, *_verdicts_in_words(folder / "verdicts.csv"))]
     best = analysis.best_in_words(study.table, study.results.claims, study.reference)
+    for_screen = [*shown_in(Shown.screen), analysis.ranked_by(study.table)]
     report = folder / "report.html"
     if report.is_relative_to(Path.cwd()):
         report = report.relative_to(Path.cwd())
     return "\n".join(
         [
-            analysis.to_text(study.table[study.table["metric"].isin(shown_in(Shown.screen))]),
+            analysis.to_text(study.table[study.table["metric"].isin(for_screen)]),
             *(line for note in notes for line in wrap(note, SCREEN_COLUMNS, break_long_words=False)),
             *([""] if notes else []),
             *wrap(f"Best    {best}", SCREEN_COLUMNS, subsequent_indent=" " * 8, break_long_words=False),
