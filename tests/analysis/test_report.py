@@ -55,6 +55,15 @@ def test_report_is_self_contained(study, tmp_path):
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page).lower())
 
 
+def test_a_network_without_a_value_has_a_dash_on_the_scale(study, tmp_path):
+    formula = study[study["variant"] == "sa2h"].assign(variant="formula", value=lambda t: t["value"] + 5)
+    whole = pd.concat([study, formula])
+    lacks = whole[(whole["variant"] != "nsa2h") | (whole["metric"] != "pchi2")]
+    page = write_report(tmp_path / "report.html", StudyResults(per_image=lacks), "partly scored").read_text("utf-8")
+    assert re.search(r"<tr><td>pχ²</td>.*<td>–</td>", page)
+    assert "nan" not in page
+
+
 def test_report_folds_what_is_secondary(study, tmp_path):
     lesser = study.assign(metric=study["metric"].replace("psnr", "pchi2_fan"))
     both = pd.concat([study, lesser[lesser["metric"] == "pchi2_fan"]])
