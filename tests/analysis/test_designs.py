@@ -1,6 +1,7 @@
 """Designs are recognised, say what they cannot tell apart, and give the effects that were put in."""
 
 import itertools
+import re
 
 import numpy as np
 import pandas as pd
@@ -263,3 +264,20 @@ def test_the_level_of_the_resimulation_is_over_the_frames_of_the_networks() -> N
     assert values.groupby("variant")["value"].mean().to_dict() == dict.fromkeys(
         (RESIMULATION, "sa2h", "sa2h-att"), 10.0
     )
+
+
+@pytest.mark.parametrize(
+    ("cells", "reading"),
+    [
+        ([(1, 1), (0, 0)], "The effects of the two components cannot be told apart."),
+        ([(1, 1, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1)], "A main effect cannot be separated from the interaction of the"),
+        ([c for c in itertools.product((0, 1), repeat=4) if sum(c) % 2 == 0], "from an interaction of 3 components."),
+    ],
+    ids=["two", "three", "four"],
+)
+def test_a_half_says_what_is_aliased_in_it_however_few_components_it_has(cells, reading) -> None:
+    runs = {str(cell): dict(zip("abcd", cell, strict=False)) for cell in cells}
+    design = find_design(runs, list("abcd")[: len(cells[0])], str(cells[0]))
+    assert design.name.startswith(f"half of the factorial of {len(cells[0])} components")
+    assert reading in design.reading
+    assert not re.search(r"interaction of 1 |one of [01] ", design.reading)

@@ -202,8 +202,13 @@ def _half_of_factorial(cells: pd.DataFrame, word: str) -> Design:
     """The half of a factorial in which the product of `word` is the same in all cells."""
     components = len(cells.columns)
     order = word.count(":") + 1
-    mixed = "The column aliases of effects.csv says what an effect cannot be separated from."
-    if order == components:
+    if order < components:
+        mixed = "The column aliases of effects.csv says what an effect cannot be separated from."
+    elif order == 2:
+        mixed = "The effects of the two components cannot be told apart."
+    elif order == 3:
+        mixed = "A main effect cannot be separated from the interaction of the other two components."
+    else:
         mixed = (
             f"A main effect cannot be separated from an interaction of {order - 1} components. An interaction of two "
             f"components cannot be separated from one of {order - 2} components."
