@@ -209,6 +209,8 @@ def test_all_figures_for_which_there_are_numbers_or_pictures_are_drawn(study, pi
     assert "(frame 9)" in captions["pchi2_maps_1"]
     alone = analysis.StudyResults(per_image=study[study["variant"] == "sa2h"])
     assert drawn_of(alone, tmp_path) == []
+    identical = study[study["metric"] == "psnr"].assign(value=np.inf)
+    assert drawn_of(analysis.StudyResults(per_image=identical, scalars=scalars), tmp_path) == [], "no finite error"
 
 
 NEW_FIGURE = """

@@ -59,6 +59,17 @@ def test_a_renderer_far_worse_than_the_simulator_is_told_in_words(figures, tmp_p
     assert panel.get_ylim()[1] < 6
 
 
+def test_a_simulator_that_is_better_than_re_simulation_is_on_the_axis(figures, tmp_path):
+    """By chance, or because few rays blur; everything was beyond an axis that ended below zero."""
+    rows = [("simulator, other", "1 ray", 5.0, "mae", 9.5), ("simulator, other", "re-simulation", 9.0, "mae", 9.9)]
+    rows += [("sa2h", "bf16", 6.0, "mae", 9.7), ("sa2h-att", "bf16", 6.0, "mae", 16.0)]
+    points = pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
+    analysis.error_vs_runtime(points, tmp_path / "better", {"mae": 10.0})
+    (panel,) = figures["better"].axes
+    assert {text.get_text() for text in panel.texts} == {"1 ray", "re-simulation", "sa2h, bf16"}
+    assert panel.get_title() == "beyond the axis: sa2h-att, bf16: +6.00"
+
+
 def test_names_have_room_where_points_are_dense():
     figure = new_figure(4.0, 3.0)
     axes = figure.add_subplot()

@@ -16,7 +16,7 @@ from ablate.analysis.figures.style import baseline_line, colour_of, shown_name
 from ablate.analysis.results import StudyResults
 from ablate.analysis.scored import BASELINE_NAMES
 from ablate.analysis.statistics.work_precision import pareto_front, runtime_points
-from ablate.metrics import Direction, metric_of
+from ablate.metrics import Direction, Metric, metric_of
 from ablate.metrics.metric import BOUNDS
 
 #: Begins the names of the simulator's settings, with scatterers of their own as a network has.
@@ -77,22 +77,23 @@ def _draw_panel(
     judge = metric_of(metric)
     relative = floor is not None and judge.better in (Direction.lower, Direction.higher)
     badness = np.array([judge.badness(value) for value in points["error"]])
-    points = points.assign(y=badness - judge.badness(float(floor or 0.0)) if relative else points["error"])
-    points = points.assign(name=[_name(point, names) for point in points.to_dict("records")])
-    simulated = points["series"].str.startswith(SIMULATOR)
-    most = _FARTHEST * points.loc[simulated, "y"].max() if relative and simulated.any() else np.inf
-    beyond = points[points["y"] > most]
-    shown, badness = points[points["y"] <= most], badness[(points["y"] <= most).to_numpy()]
+    points = points.assign(
+        y=badness - judge.badness(float(floor or 0.0)) if relative else points["error"],
+        badness=badness,
+        name=[_name(point, names) for point in points.to_dict("records")],
+        simulated=points["series"].str.startswith(SIMULATOR),
+    )
+    within = points["y"] <= (_end_of_axis(points) if relative else np.inf)
+    shown, beyond = points[within], points[~within]
     for point in shown.to_dict("records"):
-        is_simulator = str(point["series"]).startswith(SIMULATOR)
-        colour = SIMULATOR_COLOUR if is_simulator else _colour_of(point["series"], list(names))
+        colour = SIMULATOR_COLOUR if point["simulated"] else _colour_of(point["series"], list(names))
         _draw_spread(axes, point, colour, relative)
-        style: dict[str, Any] = {"ls": "none", "color": colour, "ms": 4.5, "marker": "x" if is_simulator else "o"}
-        axes.plot(point["ms"], point["y"], **style)
+        marker = "x" if point["simulated"] else "o"
+        axes.plot(point["ms"], point["y"], ls="none", color=colour, ms=4.5, marker=marker)
     ms, y = (shown[name].to_numpy(dtype=np.float64) for name in ("ms", "y"))
     if judge.better is not Direction.none:
         spread = [shown[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in shown]
-        front = pareto_front(ms, badness, *spread)
+        front = pareto_front(ms, shown["badness"].to_numpy(), *spread)
         axes.step(ms[front], y[front], where="post", color="#CCCCCC", lw=3, zorder=0, label="Pareto front")
     if floor is not None:
         axes.axhline(0.0 if relative else floor, lw=0.9, **baseline_line(metric))
@@ -100,15 +101,26 @@ def _draw_panel(
         values = [f"{point['name']}: {point['y']:+.{judge.decimals}f}" for point in beyond.to_dict("records")]
         lines = textwrap.fill("beyond the axis: " + "; ".join(values), _TITLE_LETTERS)
         axes.set_title(lines, fontsize=6, color="#555555")
-    side = "below" if judge.better is Direction.higher else "above"
-    unit = f"({judge.unit})" if judge.unit else ""
-    ordinate = f"{judge.label} {side} re-simulation {unit}" if relative else judge.title
-    if unit and len(ordinate) > _AXIS_LETTERS:
-        ordinate = ordinate.replace(f" {unit}", f"\n{unit}")
-    axes.set(xlabel="median time, ms a frame", ylabel=ordinate.strip())
+    axes.set(xlabel="median time, ms a frame", ylabel=_ordinate(judge, relative))
     axes.set_xlim(left=0.0)
     axes.margins(x=0.15, y=0.1)
     return list(shown["name"]), ms, y
+
+
+def _end_of_axis(points: pd.DataFrame) -> float:
+    """The ordinate beyond which renderers are told in words: it leaves all of the simulator's on the axis."""
+    simulated = points.loc[points["simulated"], "y"]
+    return max(simulated.max(), _FARTHEST * simulated.max()) if len(simulated) else np.inf  # all may lie below zero
+
+
+def _ordinate(judge: Metric, relative: bool) -> str:
+    """The title of the ordinate, a long one with its unit on a second line."""
+    side = "below" if judge.better is Direction.higher else "above"
+    name = f"{judge.label} {side} re-simulation" if relative else judge.label
+    if not judge.unit:
+        return name
+    title = f"{name} ({judge.unit})"
+    return title if len(title) <= _AXIS_LETTERS else f"{name}\n({judge.unit})"
 
 
 def _name(point: Mapping[Any, Any], names: Mapping[str, str]) -> str:
@@ -133,7 +145,7 @@ def _draw_spread(axes: Axes, point: Mapping[Any, Any], colour: str, relative: bo
 
 def _of_study(results: StudyResults, folder: Path) -> Iterator[Drawing]:
     points, floors = runtime_points(results.table)
-    if len(points):
+    if np.isfinite(points["error"]).any():
         files = error_vs_runtime(points, folder / "error_vs_runtime", floors, results.machine, results.components)
         yield Drawing(files, metrics=list(dict.fromkeys(points["metric"])))
 
