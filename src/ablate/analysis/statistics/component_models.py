@@ -68,12 +68,10 @@ def judged_components(
     for component in components:
         with suppress(ValueError):
             metric, _, factor = require_judged(component, design)
-            yield component, factor, fitted(metric, means, design, components, interactions)
+            yield component, factor, fitted(metric, means, levels_on(design, components), interactions)
 
 
-def fitted(
-    metric: str, means: pd.DataFrame, design: Design | None, components: Sequence[Component], interactions: bool = True
-) -> LinearModel:
+def fitted(metric: str, means: pd.DataFrame, on: Mapping[str, object], interactions: bool = True) -> LinearModel:
     """The model of a metric: main effects, blocks, and two-way interactions if asked for.
 
     An effect is the mean of the runs with a component minus the mean of those without it.
@@ -84,10 +82,8 @@ def fitted(
         Its name.
     means : DataFrame
         What `run_means` gives.
-    design : Design or None
-        Of the runs.
-    components : sequence of Component
-        Those that the design's factors switch.
+    on : mapping of str to object
+        What `levels_on` gives.
     interactions : bool
         Whether two-way interactions are in the model.
 
@@ -96,40 +92,28 @@ def fitted(
     ValueError
         When no run was scored by the metric, or the runs cannot tell the components apart.
     """
-    if design is None or metric not in set(means["metric"]):
+    if metric not in set(means["metric"]):
         raise ValueError(f"no run was scored by {metric}")
-    runs = runs_by(metric, means, design, components)
-    factors = [factor for factor in design.factors if metric not in COSTS or runs[factor].nunique() > 1]
+    runs = runs_by(metric, means, on)
+    factors = [factor for factor in on if metric not in COSTS or runs[factor].nunique() > 1]
     return fit_effects(runs, factors, interactions)
 
 
-def runs_by(metric: str, means: pd.DataFrame, design: Design, components: Sequence[Component]) -> pd.DataFrame:
-    """The runs by a metric, with the level that has the component as the second one of every factor.
-
-    A metric that is best at 0 is replaced by its absolute value.
-
-    Parameters
-    ----------
-    metric : str
-        Its name.
-    means : DataFrame
-        What `run_means` gives.
-    design : Design
-        Of the runs.
-    components : sequence of Component
-        Those that the design's factors switch.
-    """
+def runs_by(metric: str, means: pd.DataFrame, on: Mapping[str, object]) -> pd.DataFrame:
+    """The runs by a metric, its size where it is best at 0; the second level of every factor is that of `levels_on`."""
     runs = means[means["metric"] == metric]
     if metric_of(metric).better is Direction.zero:
         runs = runs.assign(value=runs["value"].abs())
-    for factor, on in levels_on(design, components).items():
-        off = set(runs[factor].cat.categories) - {on}
-        runs = runs.assign(**{factor: runs[factor].cat.set_categories([*off, on])})
+    for factor, level in on.items():
+        off = set(runs[factor].cat.categories) - {level}
+        runs = runs.assign(**{factor: runs[factor].cat.set_categories([*off, level])})
     return runs
 
 
-def levels_on(design: Design, components: Sequence[Component]) -> dict[str, object]:
+def levels_on(design: Design | None, components: Sequence[Component]) -> dict[str, object]:
     """By factor of a design, the level that has the component."""
+    if design is None:
+        return {}
     known = with_undeclared(components, design.factors)
     levels = {}
     for factor in design.factors:
@@ -168,16 +152,8 @@ def sign_of(component: Component) -> int:
 def error_of(model: LinearModel, weights: np.ndarray, term: int) -> tuple[float, float, ErrorOf]:
     """The standard error that an effect is tested by, its degrees of freedom, and whose spread it is.
 
-    It is that of each side by itself where that is larger, and an F-test at 5 % finds that the sides vary differently.
-
-    Parameters
-    ----------
-    model : LinearModel
-        Of the metric.
-    weights : (terms,) float
-        Of the effect.
-    term : int
-        The component's own term, whose sides are the runs with it and those without it.
+    It is that of each side by itself where that is larger, and an F-test at 5 % finds that the sides vary differently:
+    the runs with the component, whose own term is `term`, and those without it. `weights`, (terms,), are the effect's.
     """
     _, pooled = model.contrast(weights)
     own, dof, p_alike = model.own_error(weights, term)

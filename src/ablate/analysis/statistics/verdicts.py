@@ -140,9 +140,11 @@ def verdict_table(
         an interval), ms_per_frame and parameters (what the component adds), question, share (that the band is of the
         scale), error (an `ErrorOf`), and why it is undecided. What the runs cannot tell is missing.
     """
-    components = with_undeclared(components, [] if design is None else design.factors)
-    model_of = cache(lambda metric: fitted(metric, means, design, components))
-    has = _has_components(design, components)
+    on = levels_on(design, components)
+    components = with_undeclared(components, on)
+    model_of = cache(lambda metric: fitted(metric, means, on))
+    cells = pd.DataFrame() if design is None else design.cells
+    has = pd.DataFrame({factor: cells[factor] == level for factor, level in on.items()})
     rows = [_row(component, model_of, design, has, spreads or {}) for component in components]
     table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "own", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
@@ -179,13 +181,6 @@ def _is_cheaper(table: pd.DataFrame) -> pd.Series:
     return (costs < 0).any(axis=1) & ~(costs > 0).any(axis=1)
 
 
-def _has_components(design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
-    """A row a cell of the design and a column a factor: whether the cell has the component."""
-    if design is None:
-        return pd.DataFrame()
-    return pd.DataFrame({factor: design.cells[factor] == on for factor, on in levels_on(design, components).items()})
-
-
 def _holm_factor(table: pd.DataFrame, name: str) -> pd.Series:
     """Holm's test of a component at 5 % is a test at 5 % over this factor, at most the number of tests."""
     p = table[name].astype(float)
@@ -201,16 +196,16 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
     runs that have the component. Where no run goes without two, those without another one tell nothing: left out.
     """
     tables = []
+    on = levels_on(design, components)
     for component, factor, model in judged_components(means, design, components, interactions=False):
-        assert design is not None  # or none could be judged
-        runs = runs_by(str(component.metric), means, design, components)
-        on = runs[factor].cat.codes.to_numpy() == 1
+        runs = runs_by(str(component.metric), means, on)
+        has = runs[factor].cat.codes.to_numpy() == 1
         effect, _ = model.contrast(average_effect(factor, model))
-        improvement = sign_of(component) * (model.residuals + effect * on)
-        table = runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement)
-        lacking = runs[design.factors].apply(lambda levels: levels.cat.codes == 0).sum(axis=1)
+        improvement = sign_of(component) * (model.residuals + effect * has)
+        table = runs[["variant", "seed"]].assign(component=component.name, on=has, improvement=improvement)
+        lacking = runs[list(on)].apply(lambda levels: levels.cat.codes == 0).sum(axis=1)
         if lacking.max() <= 1:
-            table = table[(lacking == 0) | ~on]
+            table = table[(lacking == 0) | ~has]
         tables.append(table)
     names = ["component", "variant", "seed", "on", "improvement"]
     return pd.concat(tables, ignore_index=True)[names] if tables else pd.DataFrame(columns=names)
@@ -224,7 +219,7 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
     Benjamini and Hochberg 1995; NaN where `factorial_effects` gives no p).
     """
     judged = list(judged_components(means, design, components))
-    names = short_keys([] if design is None else design.factors)
+    names = short_keys(levels_on(design, components))
     names |= {component.key: component.name for component in reversed(components) if component.key in names}
     names |= {factor: component.name for component, factor, _ in judged}
     rows = []
