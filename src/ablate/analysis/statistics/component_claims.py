@@ -40,7 +40,7 @@ def has_spread(means: np.ndarray) -> bool:
 def seed_claims(
     per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, reference: str = REFERENCE
 ) -> pd.DataFrame:
-    """Which components may be said to matter: Welch's test on one mean a seed, and Holm's correction.
+    """Which variants may be said to differ from the reference: Welch's test on one mean a seed, and Holm's correction.
 
     Frames cannot answer this: two trainings of one network differ on them with p down to 1e-12. A row is
     `not_claimable` where either side has fewer than three seeds, or no spread, as no seed changes anything there.

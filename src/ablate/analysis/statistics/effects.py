@@ -49,20 +49,9 @@ class LinearModel:
     def own_error(self, weights: np.ndarray, term: int) -> tuple[float, float, float]:
         """The standard error of a weighted sum where the two sides of an effect vary differently.
 
-        Each side has the variance of its own residuals. Of two networks this is Welch's test (1947).
-
-        Parameters
-        ----------
-        weights : (terms,) float
-            Of the sum.
-        term : int
-            The effect.
-
-        Returns
-        -------
-        error, dof, p : float
-            The standard error, its degrees of freedom by Satterthwaite, and the p-value of the F-test that the sides
-            vary alike. NaN where a side tells no variance.
+        Each side has the variance of its own residuals. Of two networks this is Welch's test (1947). Returns the error,
+        its degrees of freedom by Satterthwaite, and the p-value of the F-test that the sides vary alike; all are NaN
+        where a side tells no variance. `weights` is (terms,) float.
         """
         sides = np.stack([~self.second[term], self.second[term]])
         dof = sides @ self.freedom
@@ -75,11 +64,6 @@ class LinearModel:
         ratio = variances[1] / variances[0]
         tails = stats.f.sf(ratio, dof[1], dof[0]), stats.f.cdf(ratio, dof[1], dof[0])
         return float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / np.sum(parts**2 / dof)), float(2 * min(tails))
-
-    def interval(self, weights: np.ndarray) -> tuple[float, float]:
-        """The ends of the 95 % interval of a weighted sum of the effects."""
-        effect, error = self.contrast(weights)
-        return t_interval(effect, error, self.dof)
 
     def p_value(self, weights: np.ndarray) -> float:
         """The two-sided p-value of Student's t-test that a weighted sum of the effects is zero."""
@@ -180,7 +164,7 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
         lower = upper = p = None
         if model.is_tested(k):
             only_this = np.eye(len(model.terms))[k]
-            lower, upper = model.interval(only_this)
+            lower, upper = t_interval(*model.contrast(only_this), model.dof)
             p = model.p_value(only_this)
         rows.append((":".join(term), model.effects[k], lower, upper, p, model.dof, model.aliases[term]))
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
