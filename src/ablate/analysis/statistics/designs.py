@@ -70,39 +70,44 @@ def find_design(
     if reference not in runs:
         reference = _with_most_neighbours(runs)
     base = runs[reference]
-    others = set(base) - set(factors)  # keys in which nothing may differ
+    fixed = set(base) - set(factors)  # keys in which nothing may differ
     comparable = {
         label: {factor: _level(run[factor]) for factor in factors if factor in run}
         for label, run in runs.items()
-        if all(run[key] == base[key] for key in others & run.keys())
+        if all(run[key] == base[key] for key in fixed & run.keys())
     }
-    here = comparable[reference]
-    others_of = _other_levels(comparable, reference, components)
+    cells = _cells(comparable, reference, components)
+    if cells.columns.empty:
+        return None
+    design = _read(cells)
+    reading = design.reading
+    of_images = ", ".join(key for key in design.factors if key.startswith(_OF_IMAGES))
+    if of_images:
+        reading += f" Levels of {of_images} were scored on different images; p does not count how these differ."
+    left_out = ", ".join(label for label in runs if label not in design.cells.index)
+    if left_out:
+        reading += f" Left out of it: {left_out}."
+    return replace(design, reading=reading)
+
+
+def _cells(runs: Mapping[str, Mapping[str, object]], reference: str, components: Sequence[Component]) -> pd.DataFrame:
+    """The table `Design.cells` of runs, of which those with a level that is not compared are left out."""
+    here = runs[reference]
+    compared = _other_levels(runs, reference, components)
     kept = [
         label
-        for label, run in comparable.items()
-        if all(run.get(key) in (here[key], *levels) for key, levels in others_of.items())
+        for label, run in runs.items()
+        if all(run.get(key) in (here[key], *levels) for key, levels in compared.items())
     ]
     kept.sort(key=lambda label: label != reference)
-    cells = {}
-    for key, levels in others_of.items():
-        present = [level for level in levels if any(comparable[label][key] == level for label in kept)]
+    columns = {}
+    for key, levels in compared.items():
+        present = [level for level in levels if any(runs[label][key] == level for label in kept)]
         for level in present:
             factor = key if len(present) == 1 else f"{key}={level}"
-            has = [level if comparable[label][key] == level else here[key] for label in kept]
-            cells[factor] = pd.Categorical(has, [here[key], level])
-    if not cells:
-        return None
-    design = _read(pd.DataFrame(cells, index=kept))
-    reading = design.reading
-    factors_of_images = [key for key in design.factors if key.startswith(_OF_IMAGES)]
-    if factors_of_images:
-        names = ", ".join(factors_of_images)
-        reading += f" Levels of {names} were scored on different images; p does not count how these differ."
-    left_out = [label for label in runs if label not in design.cells.index]
-    if left_out:
-        reading += f" Left out of it: {', '.join(left_out)}."
-    return replace(design, reading=reading)
+            has = [level if runs[label][key] == level else here[key] for label in kept]
+            columns[factor] = pd.Categorical(has, [here[key], level])
+    return pd.DataFrame(columns, index=kept)
 
 
 def _with_most_neighbours(runs: Mapping[str, Mapping[str, object]]) -> str:
