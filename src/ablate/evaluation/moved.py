@@ -6,6 +6,7 @@ import numpy as np
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset.motion import Motion, Moved, places_before
+from ablate.evaluation.known import tissue_labels
 from ablate.metrics import Metric, MovedPair, apart, is_own
 
 _Images = Callable[[np.ndarray, int], np.ndarray]
@@ -31,11 +32,11 @@ def motion_values(
     images_before, images_after : callable
         Render frames of the data set, and frames of `moved.pairs`: numbers (k,), draw -> (k, H, W) uint8.
     """
-    asked = [metric for metric in metrics if metric.of_motion is not None]
+    asked = [(metric, metric.of_motion) for metric in metrics if metric.of_motion is not None]
     if not asked:
         return {}
     pairs = moved.pairs
-    soft = [label for label, tissue in enumerate(tissues, start=1) if tissue.kind is TissueKind.soft]
+    soft = tissue_labels(tissues, [TissueKind.soft])
     mask = pairs.mask()
     assert pairs.probe is not None  # they were simulated
     places = {motion: places_before(motion, pairs.probe, pairs.beam_shape[1], pairs.shape) for motion in Motion}
@@ -49,9 +50,8 @@ def motion_values(
             tissue = np.isin(pairs.stored("segmentation", int(number)), soft) & mask
             seen.append(MovedPair(before, after, mask, tissue, *places[motion], in_plane=motion is not Motion.lift))
         frame_values = {
-            metric.name: metric.of_motion([apart(pair) for pair in seen] if is_own(metric) else seen)
-            for metric in asked
-            if metric.of_motion is not None
+            metric.name: measure([apart(pair) for pair in seen] if is_own(metric) else seen)
+            for metric, measure in asked
         }
         values[int(frame)] = {name: float(value) for name, value in frame_values.items() if value is not None}
     return values

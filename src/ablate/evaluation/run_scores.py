@@ -63,15 +63,10 @@ def score_run(
             scalars |= {f"{prefix}{SCALAR_PREFIXES[source]}{name}": value for name, value in scores.scalars.items()}
         missing[part] = scored[MODEL].missing
         unrepeated |= scored[MODEL].unrepeated
-    both_parts = _of_both_parts(missing[Part.validation], missing[Part.test])
+    alone = {name: f"{why} (of the validation frames alone)" for name, why in missing[Part.validation].items()}
+    both_parts = missing[Part.test] | {name: why for name, why in alone.items() if name not in missing[Part.test]}
     about_output = (*_clipped(clipping), *_unrepeated(int(frame[0]), once, images_of(frame, 0)))
     return Scores(pd.concat(tables, ignore_index=True), scalars, both_parts, unrepeated, about_output)
-
-
-def _of_both_parts(validation: dict[str, str], test: dict[str, str]) -> dict[str, str]:
-    """Why metrics are missing on test frames, and those that are missing on validation frames alone."""
-    alone = {name: f"{reason} (of the validation frames alone)" for name, reason in validation.items()}
-    return test | {name: reason for name, reason in alone.items() if name not in test}
 
 
 def _clipped(counts: list[tuple[int, int]]) -> list[str]:

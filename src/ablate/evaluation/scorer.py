@@ -156,14 +156,18 @@ class Scorer:
 
     def _unrepeated(self, frames: np.ndarray, drawn: np.ndarray, values: list[dict[str, float]]) -> dict[str, str]:
         """Of each metric of the user's that gives other values of the first frames when all are scored, both values."""
-        asked_again = {name: metric for name, metric in self.metrics.items() if _is_asked_again(metric)}
+        # Values of metrics of the network's grid were computed elsewhere.
+        asked_again = {name: m for name, m in self.metrics.items() if is_own(m) and m.pixels is Pixels.image}
+        if not asked_again:
+            return {}
         repeating = replace(self, metrics=asked_again)
         found: dict[str, str] = {}
-        for frame, draws, before in zip(frames if repeating.metrics else (), drawn, values, strict=False):
+        for frame, draws, before in zip(frames, drawn, values, strict=False):
             after, _ = repeating._score_frame(int(frame), draws, with_texture=False)
-            for name in repeating.metrics.keys() - found.keys():
+            for name in asked_again.keys() - found.keys():
                 once, again = before.get(name, math.nan), after.get(name, math.nan)
-                if not math.isclose(once, again, rel_tol=_REPEATED) and not math.isnan(once) & math.isnan(again):
+                both_nan = math.isnan(once) and math.isnan(again)
+                if not both_nan and not math.isclose(once, again, rel_tol=_REPEATED):
                     found[name] = f"{once:.4g} of frame {frame}, and {again:.4g}"
         return {name: found[name] for name in self.metrics if name in found}
 
@@ -244,11 +248,6 @@ class Scorer:
             segmentation=labels,
             **self._sizes,
         )
-
-
-def _is_asked_again(metric: Metric) -> bool:
-    """Whether it is a metric of the user's, of images: those of the network's grid were computed elsewhere."""
-    return is_own(metric) and metric.pixels is Pixels.image
 
 
 def _stacked(features: Collection[Features]) -> Features:
