@@ -109,7 +109,7 @@ def test_a_resample_by_group_is_the_distance_of_the_rows_drawn(d, rows):
     x, y = rng.standard_normal((rows, d)) + 5, rng.gamma(2.0, size=(rows, d))
     times = np.array([2, 0, 1, 3, 0])
     drawn = np.concatenate([np.flatnonzero(owner == k) for k in range(5) for _ in range(times[k])])
-    resampled = frechet_of_draw(x, y, owner, owner)(times)
+    resampled = frechet_of_draw(x, y, owner)(times)
     assert resampled == pytest.approx(frechet_distance(x[drawn], y[drawn]), rel=1e-6)
     resampled = kernel_of_draw(x, y, owner, owner)(times)
     assert resampled == pytest.approx(kernel_distance(x[drawn], y[drawn]), rel=1e-9)

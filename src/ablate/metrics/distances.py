@@ -211,7 +211,7 @@ def _of_draw(
 ) -> OfDraw:
     """A distance as a function of how often each group of rows is drawn."""
     if distance is frechet_distance:
-        return frechet_of_draw(X, Y, groups, groups)
+        return frechet_of_draw(X, Y, groups)
     if distance is kernel_distance:
         return kernel_of_draw(X, Y, groups, groups)
 
@@ -223,27 +223,17 @@ def _of_draw(
     return of_rows_drawn
 
 
-def frechet_of_draw(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np.ndarray) -> OfDraw:
-    """Return the Frechet distance as a function of how often each group is drawn.
+def frechet_of_draw(X: np.ndarray, Y: np.ndarray, groups: np.ndarray) -> OfDraw:
+    """Return the Frechet distance as a function of how often each group is drawn, (g,) int.
 
-    Parameters
-    ----------
-    X, Y : (n, d) and (m, d) float64
-        Features.
-    groups_x, groups_y : (n,) and (m,) int
-        The group of each row; every number from 0 on occurs.
-
-    Returns
-    -------
-    callable
-        How often each group is drawn, (g,) int -> float, with half the digits of `frechet_distance`.
+    X and Y are (n, d) float64, and `groups`, (n,) int, is that of each row of either; every number from 0 on occurs.
     """
-    rows_x, group_of_x = _condensed(X, groups_x)
-    rows_y, group_of_y = _condensed(Y, groups_y)
+    rows_x, group_of_row = _condensed(X, groups)
+    rows_y, _ = _condensed(Y, groups)
 
     def value(times: np.ndarray) -> float:
-        mean_x, root_x = _mean_and_root(rows_x, times[group_of_x])
-        mean_y, root_y = _mean_and_root(rows_y, times[group_of_y])
+        mean_x, root_x = _mean_and_root(rows_x, times[group_of_row])
+        mean_y, root_y = _mean_and_root(rows_y, times[group_of_row])
         product = root_x @ root_y.T
         # Half the digits of `frechet_distance`, in a sixth of its time: a spread needs no more.
         overlap = np.sqrt(np.maximum(np.linalg.eigvalsh(product @ product.T), 0.0)).sum()

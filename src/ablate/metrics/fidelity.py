@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -82,14 +83,11 @@ WHOLE_PSNR = Metric(
     of_image=_whole(psnr),
     place=10,
 )
-FAN_PSNR = Metric(
+FAN_PSNR = replace(
+    WHOLE_PSNR,
     name="psnr_fan",
     label="PSNR in fan",
-    unit="dB",
-    better=Direction.higher,
-    resimulation=Resimulation.level,
-    group=Group.pixel,
-    decimals=2,
+    shown=Shown.nowhere,
     of_image=_in_fan(psnr),
     place=11,
 )
@@ -105,14 +103,11 @@ WHOLE_MAE = Metric(
     of_image=_whole(mae),
     place=20,
 )
-FAN_MAE = Metric(
+FAN_MAE = replace(
+    WHOLE_MAE,
     name="mae_fan",
     label="MAE in fan",
-    unit="grey levels",
-    better=Direction.lower,
-    resimulation=Resimulation.level,
-    group=Group.pixel,
-    decimals=2,
+    shown=Shown.nowhere,
     of_image=_in_fan(mae),
     place=21,
 )
@@ -127,23 +122,20 @@ PCHI2 = Metric(
     of_image=_pchi2,
     place=30,
 )
-FAN_PCHI2 = Metric(
+FAN_PCHI2 = replace(
+    PCHI2,
     name="pchi2_fan",
     label="pχ² in fan",
-    better=Direction.lower,
-    resimulation=Resimulation.floor,
-    group=Group.patch,
-    decimals=3,
+    shown=Shown.nowhere,
     of_image=_pchi2_fan,
     place=31,
 )
-TISSUE_PCHI2 = Metric(
+TISSUE_PCHI2 = replace(
+    PCHI2,
     name="pchi2_tissue",
     label="pχ² in tissue",
-    better=Direction.lower,
-    resimulation=Resimulation.floor,
     group=Group.mechanism,
-    decimals=3,
+    shown=Shown.nowhere,
     of_image=_pchi2_tissue,
     place=32,
 )

@@ -19,28 +19,12 @@ FEWEST_MM2 = 4.0  # of a band and of its surround
 _smooth = partial(gaussian_filter, mode="constant", truncate=3.0)  # of an image that is 0 outside
 
 
-def relative_attenuation(
-    attenuation: np.ndarray, mask: np.ndarray, depth_mm: np.ndarray, bin_mm: float = MEDIAN_BIN_MM
-) -> np.ndarray:
-    """Attenuation map over its median in the fan at the same depth.
+def relative_attenuation(attenuation: np.ndarray, mask: np.ndarray, depth_mm: np.ndarray) -> np.ndarray:
+    """Attenuation map over its median in the fan at the same depth, (H, W) float32; the arrays are those of `Pair`.
 
-    Parameters
-    ----------
-    attenuation : (H, W) float in [0, 1]
-        The integral attenuation map.
-    mask : (H, W) bool
-        The fan.
-    depth_mm : (H, W) float, mm
-        Distance from the probe's face along the scanline.
-    bin_mm : float, mm
-        Depth in which a median is taken.
-
-    Returns
-    -------
-    (H, W) float32
-        Under 1 in shadow; NaN outside the fan and where the median is 0.
+    It is under 1 in shadow, and NaN outside the fan and where the median is 0.
     """
-    depth_bin = np.clip(depth_mm[mask] / bin_mm, 0, np.iinfo(np.uint16).max).astype(np.uint16)
+    depth_bin = np.clip(depth_mm[mask] / MEDIAN_BIN_MM, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
     by_depth = np.split(values[np.argsort(depth_bin, kind="stable")], np.cumsum(np.bincount(depth_bin))[:-1])
     median = np.array([np.median(level) if level.size else np.nan for level in by_depth], dtype=np.float32)

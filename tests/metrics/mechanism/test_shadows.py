@@ -17,8 +17,8 @@ def shifted(image, mask, grey):
 
 def test_relative_attenuation_is_over_the_median_of_each_depth(make_frame):
     frame = make_frame(shape=(90, 120))
-    relative = relative_attenuation(frame.attenuation, frame.mask, frame.depth_mm, bin_mm=3.0)
-    bins = (frame.depth_mm / 3.0).astype(int)
+    relative = relative_attenuation(frame.attenuation, frame.mask, frame.depth_mm)
+    bins = frame.depth_mm.astype(int)
     for k in np.unique(bins[frame.mask]):
         here = frame.mask & (bins == k)
         expected = frame.attenuation[here] / np.median(frame.attenuation[here])
