@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis.components import Component
-from ablate.analysis.scored import BASELINE_NAMES, RESIMULATION, finite_values, is_network
+from ablate.analysis.scored import BASELINE_NAMES, RESIMULATION, finite_values
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import FORMULA
 
@@ -34,7 +34,7 @@ def scale_table(table: pd.DataFrame) -> pd.DataFrame:
         return pd.DataFrame()
     formula, best = means.loc[FORMULA], means.loc[RESIMULATION]
     order = [name for name in dict.fromkeys(table["metric"]) if scale_length(name, formula[name], best[name]) > 0]
-    networks = [name for name in dict.fromkeys(table["variant"]) if is_network(pd.Series([name]))[0]]
+    networks = [name for name in dict.fromkeys(table["variant"]) if name not in BASELINE_NAMES]
     return ((means - formula) / (best - formula)).loc[networks, order]
 
 

@@ -93,12 +93,7 @@ def draw_body(
 def fit_body(space: Axes3D, room: Bbox) -> None:
     """Move 3-D axes, and make them as large as fits, so that their box, ticks and labels lie in some room.
 
-    Parameters
-    ----------
-    space : Axes3D
-        As `draw_body` leaves them.
-    room : Bbox
-        In shares of the figure.
+    They are as `draw_body` leaves them; the room is in shares of the figure.
     """
     figure = space.figure
     canvas = FigureCanvasAgg(figure)

@@ -88,7 +88,7 @@ def boxplot_panels(
             if paired is not None:
                 _draw_intervals(axes, paired[paired["metric"] == metric], places)
             axes.set_xlabel(axis_title(metric, f"Δ {{}} to {reference}"))
-        one_legend(figure, panels, 3)
+        one_legend(figure, panels)
         return save_figure(figure, stem)
 
 

@@ -39,7 +39,7 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
             chi2 = patch_chi2(frame.predictions[name], frame.target, PATCH)
             extent = (0, chi2.shape[1] * PATCH, chi2.shape[0] * PATCH, 0)
             shown = np.ma.masked_array(chi2, ~inside)
-            drawn = draw_picture(upper, shown, "inferno", vmin=0, vmax=1, extent=extent)
+            drawn = draw_picture(upper, shown, cmap="inferno", vmin=0, vmax=1, extent=extent)
             upper.set(xlim=(0, width), ylim=(height, 0), aspect="equal", facecolor="#EEEEEE")
             whole = rms(chi2, inside)
             number = NOTHING if whole is None else f"{whole:.3f}"

@@ -79,7 +79,7 @@ def forest_figure(
             beside = figure.add_subplot(grid[1, 1])
             beside.set_axis_off()
             beside.text(0.03, 0.5, MAP_NOTE, va="center", color="#444444", transform=beside.transAxes, linespacing=1.4)
-        one_legend(figure, [forest], 3)
+        one_legend(figure, [forest])
         return save_figure(figure, stem)
 
 
@@ -176,12 +176,8 @@ def _of_study(results: StudyResults, folder: Path) -> Iterator[Drawing]:
         results.components,
         folder / "verdicts",
     )
-    yield Drawing(files, facts={"design": results.design, "saving": asks_to_save(results.verdicts)})
-
-
-def asks_to_save(verdicts: pd.DataFrame) -> bool:
-    """Whether one of the components that are shown is to save."""
-    return bool((verdicts.loc[verdicts["effect"].notna(), "question"] == Question.saves).any())
+    questions = results.verdicts.loc[results.verdicts["effect"].notna(), "question"]
+    yield Drawing(files, facts={"design": results.design, "saving": Question.saves in set(questions)})
 
 
 VERDICTS = StudyFigure(name="verdicts", section=Section.verdicts, draw=_of_study, place=10)

@@ -14,29 +14,17 @@ ACROSS = 4  # pictures side by side on a page; with more of them, speckle is los
 MOST_TALL = 5.0  # height of the place of a picture, in widths
 
 
-def draw_picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -> AxesImage:
-    """Show an image in axes without ticks and frame.
-
-    Parameters
-    ----------
-    axes : Axes
-        Where it is shown.
-    image : (H, W) or masked array
-        Values.
-    colours : str
-        Name of a colour map.
-    **how
-        As for `Axes.imshow`.
-    """
+def draw_picture(axes: Axes, image: np.ndarray, **how: Any) -> AxesImage:
+    """Show an image, (H, W), perhaps masked, in axes without ticks and frame; `how` is as for `Axes.imshow`."""
     axes.set_axis_on()
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
-    return axes.imshow(image, cmap=colours, **how)
+    return axes.imshow(image, **how)
 
 
 def draw_grey(axes: Axes, image: np.ndarray) -> AxesImage:
     """Show an image (H, W) uint8 as it is."""
-    return draw_picture(axes, image, vmin=0, vmax=255, interpolation="antialiased")
+    return draw_picture(axes, image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
 
 
 def shown_variants(frames: Sequence[FramePictures]) -> list[str]:

@@ -44,7 +44,7 @@ def figure_of_points(points: pd.DataFrame, draw: Draw, stem: Path, hardware: str
         for axes in grid[len(metrics) :]:
             axes.set_axis_off()
         drawn = [draw(axes, points[points["metric"] == m], m) for axes, m in zip(grid, metrics, strict=False)]
-        one_legend(figure, grid[: len(metrics)], 3)
+        one_legend(figure, grid[: len(metrics)])
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         figure.draw_without_rendering()  # so that the panels have their places

@@ -114,7 +114,7 @@ def _draw_insets(axes: Axes, frame: FramePictures) -> None:
 
 def _draw_inset(axes: Axes, image: np.ndarray, left: float, colours: str) -> None:
     corner = axes.inset_axes((left, 1 - INSET, INSET, INSET), facecolor="none")
-    draw_picture(corner, image, colours, interpolation="nearest")
+    draw_picture(corner, image, cmap=colours, interpolation="nearest")
 
 
 def _of_study(results: StudyResults, folder: Path) -> Iterator[Drawing]:

@@ -100,18 +100,12 @@ def baseline_line(metric: str, baseline: str = RESIMULATION, after: str = "") ->
     return {"color": FLOOR_COLOUR, "ls": style, "label": f"{baseline}{after} (dashed: floor, dotted: level)"}
 
 
-def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:
-    """What the legends of these panels would show, each entry once."""
+def one_legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """One legend above all panels, three columns wide, each entry once; none without an entry."""
     entries: dict[str, Artist] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
-    return entries
-
-
-def one_legend(figure: Figure, panels: Sequence[Axes], columns: int) -> None:
-    """One legend above all panels, each entry once; none without an entry."""
-    entries = legend_entries(panels)
     if entries:
-        style: dict[str, Any] = {"ncols": columns, "frameon": False, "handlelength": 1.6}
+        style: dict[str, Any] = {"ncols": 3, "frameon": False, "handlelength": 1.6}
         figure.legend(entries.values(), entries.keys(), loc="outside upper center", **style)
