@@ -70,6 +70,15 @@ def test_a_simulator_that_is_better_than_re_simulation_is_on_the_axis(figures, t
     assert panel.get_title() == "beyond the axis: sa2h-att, bf16: +6.00"
 
 
+def test_a_re_simulation_without_a_finite_value_is_no_level(figures, tmp_path):
+    """Its PSNR is infinite where nothing scatters; the panel was empty."""
+    points = pd.DataFrame({"series": ["sa2h"], "setting": "", "ms": 5.0, "metric": "psnr", "error": 20.0})
+    analysis.error_vs_runtime(points, tmp_path / "none", {"psnr": np.nan})
+    (panel,) = figures["none"].axes
+    assert [tuple(line.get_xydata()[0]) for line in panel.lines if line.get_marker() == "o"] == [(5.0, 20.0)]
+    assert (panel.get_ylabel(), panel.get_title()) == ("PSNR (dB)", "")
+
+
 def test_names_have_room_where_points_are_dense():
     figure = new_figure(4.0, 3.0)
     axes = figure.add_subplot()

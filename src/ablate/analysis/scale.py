@@ -15,19 +15,11 @@ _JUDGED = (Direction.higher, Direction.lower)
 
 
 def scale_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Where every network stands between the formula and re-simulation.
+    """Where every network of a `comparison_table` stands between the formula and re-simulation.
 
-    Parameters
-    ----------
-    table : DataFrame
-        What `comparison_table` gives.
-
-    Returns
-    -------
-    DataFrame
-        A row a network and a column a metric: (mean - formula) / (re-simulation - formula). Below 0 a network is worse
-        than no network. Above 1 it is smoother than a perfect stochastic renderer, or knows the scatterers. Metrics
-        without both baselines, of which re-simulation is no better, or that do not judge, are left out.
+    A row a network and a column a metric: (mean - formula) / (re-simulation - formula). Below 0 a network is worse than
+    no network. Above 1 it is smoother than a perfect stochastic renderer, or knows the scatterers. Metrics without both
+    baselines, of which re-simulation is no better, or that do not judge, are left out.
     """
     means = table.pivot(index="variant", columns="metric", values="mean")
     if not {FORMULA, RESIMULATION} <= set(means.index):
@@ -47,19 +39,9 @@ def scale_length(metric: str, formula: float, resimulation: float) -> float:
 def scaled_bands(components: Sequence[Component], per_image: pd.DataFrame) -> tuple[Component, ...]:
     """The components with the bands that count in a study: shares of its scale, where it has one.
 
-    Parameters
-    ----------
-    components : sequence of Component
-        As they are declared.
-    per_image : DataFrame
-        Columns variant, seed, frame, metric, value, data: one row a metric of a frame of a run or a baseline. The
-        scale is the mean of those of the data sets.
-
-    Returns
-    -------
-    tuple of Component
-        Where a share counts, the band is that share of the scale in units of the metric. Elsewhere the band is the
-        declared one, and the share is None.
+    Where a share counts, the band is that share of the scale in units of the metric. Elsewhere the band is the declared
+    one, and the share is None. The scale is the mean of those of the data sets in `per_image`, which is as for
+    `comparison_table`, perhaps with a column data.
     """
     baselines = finite_values(per_image)
     baselines = baselines[baselines["variant"].isin(BASELINE_NAMES)]

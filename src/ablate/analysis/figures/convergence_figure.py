@@ -26,19 +26,9 @@ SERIES = {
 def convergence_figure(points: pd.DataFrame, stem: Path, hardware: str = "") -> list[Path]:
     """Draw the error of each setting against its time, a panel a metric, on logarithmic axes; every point has its name.
 
-    Parameters
-    ----------
-    points : DataFrame
-        Columns series, setting, ms, metric, error. Series that are not of `SERIES` are left out.
-    stem : Path
-        Of the files, without suffix.
-    hardware : str
-        The device that the times were measured on, written on the figure.
-
-    Raises
-    ------
-    ValueError
-        If no finite point of these series has a positive time.
+    `points` has columns series, setting, ms, metric, error; series that are not of `SERIES` are left out. The files are
+    at `stem`, a path without suffix. `hardware`, written on the figure, is the device that the times were measured on.
+    It is a ValueError if no finite point of these series has a positive time.
     """
     known = points["series"].isin(list(SERIES)) & np.isfinite(points["error"]) & (points["ms"] > 0)
     return figure_of_points(points[known], _draw_panel, stem, hardware)

@@ -14,8 +14,9 @@ from ablate.analysis.components import Component, Question
 from ablate.analysis.figures.study_figure import Drawing, Section, StudyFigure
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
 from ablate.analysis.results import StudyResults
-from ablate.analysis.statistics.verdicts import ALPHA, Verdict, improvements, interactions
-from ablate.metrics import Direction, metric_of
+from ablate.analysis.statistics.component_models import ALPHA, sign_of
+from ablate.analysis.statistics.verdicts import Verdict, improvements, interactions
+from ablate.metrics import metric_of
 
 ROW_IN = 0.42
 HEAD_IN = 0.9
@@ -91,8 +92,7 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Ma
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     for place, row in zip(places, shown.to_dict("records"), strict=True):
         _draw_runs(axes, runs[runs["component"] == row["component"]], row["band"], place)
-        sign = 1 if metric_of(row["metric"]).better is Direction.higher else -1
-        scale = sign / row["band"]
+        scale = sign_of(row["metric"]) / row["band"]
         ends = [scale * row["lower"], scale * row["upper"]]
         axes.plot(ends, [place, place], color="black", lw=2.2, solid_capstyle="butt", zorder=3)
         ends = [row["least"] / row["band"], row["most"] / row["band"]]

@@ -65,7 +65,7 @@ def write_names(axes: Axes, names: Sequence[str], x: np.ndarray, y: np.ndarray) 
     x, y : (n,) float
         The points, in units of the axes.
     """
-    places = axes.transData.transform(np.column_stack([x, y])) if len(names) else np.empty((0, 2))
+    places = axes.transData.transform(np.column_stack([x, y]))
     scale = axes.figure.dpi / 72
     taken: list[Box] = [_around(place, 2.5 * scale) for place in places]
     inside = axes.get_window_extent()

@@ -144,9 +144,9 @@ def effect_at_full(factor: str, model: LinearModel, has: pd.DataFrame) -> np.nda
     return weights
 
 
-def sign_of(component: Component) -> int:
-    """1 where larger values of its metric are better, and -1 where smaller ones are."""
-    return 1 if metric_of(str(component.metric)).better is Direction.higher else -1
+def sign_of(metric: str | None) -> int:
+    """1 where larger values of a metric are better, and -1 where smaller ones are."""
+    return 1 if metric_of(str(metric)).better is Direction.higher else -1
 
 
 def error_of(model: LinearModel, weights: np.ndarray, term: int) -> tuple[float, float, ErrorOf]:

@@ -155,18 +155,16 @@ def _read(cells: pd.DataFrame) -> Design:
         return _half_of_factorial(cells, words[0])
     changed = _changed(cells).to_numpy()
     apart = np.abs(changed[:, None, :] - changed[None, :, :]).sum(axis=2)
-    neighbours = (apart == 1).sum(axis=1)
-    centre = 0 if neighbours[0] else int(np.argmax(neighbours))
+    changes = pd.DataFrame(apart, cells.index, cells.index)  # from one cell to another
+    neighbours = (changes == 1).sum()
     reference = cells.index[0]
-    base = cells.index[centre]
-    near = apart[centre] <= 1
+    centre = str(reference if neighbours[reference] else neighbours.idxmax())
+    away = changes[centre]
     if neighbours[centre] and not _tell_interactions(changed):
-        kept = apart[centre] <= 2  # more changes at once hold interactions that these cells cannot tell apart
-        cells = cells[kept]
-        near = near[kept]
-    if set(cells.index[~near]) <= {reference}:  # the full model beside an add-one-in study takes no part in it
-        return _one_at_a_time(cells[near], base)
-    return _some_cells(cells)
+        away = away[away <= 2]  # more changes at once hold interactions that these cells cannot tell apart
+    if set(away.index[away > 1]) <= {reference}:  # the full model beside an add-one-in study takes no part in it
+        return _one_at_a_time(cells.loc[away.index[away <= 1]], centre)
+    return _some_cells(cells.loc[away.index])
 
 
 def _changed(cells: pd.DataFrame) -> pd.DataFrame:

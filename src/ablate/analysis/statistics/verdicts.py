@@ -146,14 +146,14 @@ def verdict_table(
     cells = pd.DataFrame() if design is None else design.cells
     has = pd.DataFrame({factor: cells[factor] == level for factor, level in on.items()})
     rows = [_row(component, model_of, design, has, spreads or {}) for component in components]
-    table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "own", "p", "p_band"])
+    table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "standard_error", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     table["question"] = [str(c.question) for c in components]
     table["share"] = [c.share for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
     dof = table["dof"].astype(float)
-    error = table["own"]
+    error = table["standard_error"]
     to_zero = error * stats.t.isf(ALPHA / 2 / _holm_factor(table, "p"), dof)
     to_band = error * stats.t.isf(ALPHA / _holm_factor(table, "p_band"), dof)
     saving = table["question"] == Question.saves
@@ -201,7 +201,7 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
         runs = runs_by(str(component.metric), means, on)
         has = runs[factor].cat.codes.to_numpy() == 1
         effect, _ = model.contrast(average_effect(factor, model))
-        improvement = sign_of(component) * (model.residuals + effect * has)
+        improvement = sign_of(component.metric) * (model.residuals + effect * has)
         table = runs[["variant", "seed"]].assign(component=component.name, on=has, improvement=improvement)
         lacking = runs[list(on)].apply(lambda levels: levels.cat.codes == 0).sum(axis=1)
         if lacking.max() <= 1:
@@ -229,7 +229,7 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
                 continue
             other = term[0] if term[1] == factor else term[1]
             p = model.p_value(np.eye(len(model.terms))[k]) if model.is_tested(k) else np.nan
-            rows.append((component.name, names[other], sign_of(component) * model.effects[k], p))
+            rows.append((component.name, names[other], sign_of(component.metric) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
     return table.assign(q=where_known(stats.false_discovery_control, table["q"]).astype("float64"))
 
@@ -264,8 +264,8 @@ def _row(
     error, dof, source = error_of(model, average, term)
     row["lower"], row["upper"] = t_interval(effect, error, dof)
     row["full_lower"], row["full_upper"] = t_interval(full_effect, *error_of(model, at_full, term)[:2])
-    row |= {"dof": dof, "error": str(source), "own": error, "p": t_test(effect, error, dof)}
-    improvement = sign_of(component) * effect
+    row |= {"dof": dof, "error": str(source), "standard_error": error, "p": t_test(effect, error, dof)}
+    improvement = sign_of(component.metric) * effect
     beyond = improvement + band if component.question is Question.saves else band - improvement
     reached = float(stats.t.sf(beyond / error, dof)) if error > 0 else float(beyond <= 0)
     return row | {"improvement": improvement, "p_band": reached}
