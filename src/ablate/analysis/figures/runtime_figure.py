@@ -50,7 +50,8 @@ def error_vs_runtime(
     stem : Path
         Of the files, without suffix.
     floors : mapping of str to float, optional
-        The re-simulation's value by metric; without it, and of a metric that does not judge, the error itself is drawn.
+        The re-simulation's value by metric; without a finite one, and of a metric that does not judge, the error itself
+        is drawn.
     hardware : str
         The device that the times were measured on, written on the figure.
     components : sequence of Component
@@ -63,9 +64,10 @@ def error_vs_runtime(
     """
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
     names = {name: shown_name(name, components) for name in points["series"] if not name.startswith(SIMULATOR)}
+    known = {metric: floor for metric, floor in (floors or {}).items() if np.isfinite(floor)}
 
     def draw(axes: Axes, of_metric: pd.DataFrame, metric: str) -> tuple[list[str], np.ndarray, np.ndarray]:
-        return _draw_panel(axes, of_metric, metric, (floors or {}).get(metric), names)
+        return _draw_panel(axes, of_metric, metric, known.get(metric), names)
 
     return figure_of_points(points, draw, stem, hardware)
 
