@@ -87,14 +87,13 @@ def _below_the_formula(per_image: pd.DataFrame, reference: str) -> list[str]:
     means = finite.groupby(["variant", "metric"])["value"].mean()
     if not {reference, FORMULA} <= set(means.index.get_level_values("variant")):
         return []
-    both = [name for name in shown_in(Shown.headline) if name in means[reference] and name in means[FORMULA]]
-    judges = {name: metric_of(name) for name in both}
-    worse = [
-        name
-        for name, judge in judges.items()
-        if judge.badness(means[reference, name]) > judge.badness(means[FORMULA, name])
-    ]
-    return [judges[name].label for name in worse]
+    labels = []
+    for name in shown_in(Shown.headline):
+        judge = metric_of(name)
+        of_reference, of_formula = (judge.badness(means[v].get(name, np.nan)) for v in (reference, FORMULA))
+        if of_reference > of_formula:
+            labels.append(judge.label)
+    return labels
 
 
 def _short_runs(per_image: pd.DataFrame) -> list[str]:

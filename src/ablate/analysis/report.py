@@ -13,7 +13,7 @@ from ablate.analysis.results import StudyResults
 from ablate.analysis.scale import scale_table
 from ablate.analysis.scored import RESIMULATION, is_network
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
-from ablate.analysis.tables import cell_texts, resimulation_note
+from ablate.analysis.tables import cell_texts, least_to_most, resimulation_note
 from ablate.analysis.templates import filled
 from ablate.metrics import Shown, metric_of, shown_in
 from ablate.storage import write_text
@@ -105,11 +105,7 @@ def _compared(per_image: pd.DataFrame) -> str:
     """One sentence on what the numbers are over."""
     networks = per_image[is_network(per_image["variant"])]
     seeds = networks.groupby("variant")["seed"].nunique()
-    counts = ""
-    if len(seeds):
-        counts = f", {seeds.min()}"
-    if len(seeds) and seeds.max() > seeds.min():
-        counts += f" to {seeds.max()}"
+    counts = f", {least_to_most(seeds)}" if len(seeds) else ""
     frames = per_image["frame"].nunique()
     sites = per_image["site"].nunique()
     return f"{len(seeds)} variants{counts} trained of each, {frames} test frames of {sites} probe sites."

@@ -172,13 +172,11 @@ def _caption(table: pd.DataFrame, metrics: list[str]) -> str:
     frames = int(((table["n"] + table["dropped"]) / table["seeds"]).max())  # 1 of metrics with a value a run
     text = f"Mean and standard deviation over {frames} test frames" if frames > 1 else "Mean"
     note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""
-    return f"{text}, {_seeds_text(networks['seeds'])} a network. Bold is the best network.{note}"
+    seeds = least_to_most(networks["seeds"])
+    return f"{text}, {seeds} seed{'' if seeds == '1' else 's'} a network. Bold is the best network.{note}"
 
 
-def _seeds_text(seeds: pd.Series) -> str:
-    """How many seeds networks have, of the number of each."""
-    few = int(seeds.min()) if len(seeds) else 0
-    many = int(seeds.max()) if len(seeds) else 0
-    if few < many:
-        return f"{few} to {many} seeds"
-    return "1 seed" if many == 1 else f"{many} seeds"
+def least_to_most(counts: pd.Series) -> str:
+    """Counts in words: `2 to 4`, `3` where all are equal, and `0` where there is none."""
+    few, many = (counts.min(), counts.max()) if len(counts) else (0, 0)
+    return f"{few} to {many}" if few < many else str(many)
