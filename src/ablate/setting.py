@@ -276,6 +276,11 @@ def composed_letters(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 
 
+def cut_name(name: str, most: int = LONGEST_NAME) -> str:
+    """The beginning of a name that takes so many bytes at most, and ends with no part of a letter and no blank."""
+    return name.encode(errors="replace")[:most].decode(errors="ignore").rstrip()
+
+
 def _not_allowed(name: str) -> str:
     """The first character that no name may hold, by its number where it cannot be seen alone; empty without one."""
     odd = next(iter(re.sub(r"[\w.+ -]", "", name)), "")

@@ -19,7 +19,7 @@ from ablate.dataset.encoding import Encoding
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
-from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, composed_letters, setting, shown
+from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, composed_letters, cut_name, setting, shown
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import MOST_GAIN_DB, ConvexProbe, Probe, SimulatorSettings
 
@@ -255,7 +255,7 @@ class StudySettings(Checked):
         if self.scene.folder is None:
             return self.scene.kind
         name = re.sub(r"[^\w.+ -]", "_", composed_letters(Path(self.scene.folder).resolve().name))
-        return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
+        return cut_name(name, _LONGEST_SCENE_NAME)
 
     @property
     def label_seed(self) -> int:
