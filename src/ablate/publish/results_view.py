@@ -61,7 +61,7 @@ def publish_results(store: Store, run_id: str, training: Training, scores: Seque
         try:
             _publish_examples(store, run_id, training)
             pretrained.save(renderer_of(training), network)
-        except (OSError, ValueError, KeyError):  # files are missing or damaged, or it is a network of the user's own
+        except (OSError, ValueError, LookupError):  # files are missing or damaged, or it is a network of the user's own
             network.unlink(missing_ok=True)
         store.log_files(run_id, [path for path in (table, network) if path.exists()])
         loads = _how_to_load(store, run_id) if network.exists() else ""

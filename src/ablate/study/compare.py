@@ -190,7 +190,7 @@ def _with_pictures(study: Study) -> tuple[StudyResults, list[str]]:
     """The results of a study with its pictures, or a sentence why there are none."""
     try:
         frames = study.pictures
-    except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
+    except (OSError, ValueError, LookupError) as error:  # pairs or pictures are missing or damaged
         return study.results, [f"There are no pictures: {' '.join(str(error).split())}."]
     missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
     return replace(study.results, pictures=frames), missing
