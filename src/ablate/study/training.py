@@ -31,7 +31,7 @@ RESULT = "trained.json"  # what it came to; written when the last step is done
 _PARAMETERS = ("parameters_generator", "parameters_discriminator")  # scalars that every training has
 _KINDS: Mapping[str, type] = {"pixels": str, "scalars": dict, "notes": list, "started": str, "ended": str}
 # They lead to no other folder. The name of a data set begins with that of a folder of a scene, which may be hidden.
-_NAMES = {"label": r"\w[\w.+ -]*", "data": r"[\w.+ -]*-\w+"}
+_NAMES = {"label": r"\w[\w.+ -]*", "data": r"[\w.+ -]*\w"}
 
 
 class State(StrEnum):
@@ -48,8 +48,6 @@ class Training:
     """The folder of a training. Values are read when they are asked for, and once."""
 
     folder: Path
-
-    # What the folder holds.
 
     @property
     def checkpoint(self) -> Path:
@@ -104,8 +102,6 @@ class Training:
         except Exception as error:  # zip and NumPy raise many kinds
             _LOG.warning("%s is damaged: %s; others are shown", self.pictures_file, " ".join(str(error).split()))
         return {}
-
-    # What it is.
 
     @property
     def hash(self) -> str:
