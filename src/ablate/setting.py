@@ -1,7 +1,7 @@
 """A setting is declared once, as a field of a frozen dataclass: type, default, range or choices, unit, use.
 
 From this come the checks, Hydra's schema, the identity of runs and data sets, `--help` and the table of keys in docs/.
-Names and addresses, which several rooms share, have checks of their own.
+Names, which several rooms share, have checks of their own.
 """
 
 import dataclasses
@@ -276,6 +276,11 @@ def composed_letters(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 
 
+def cut_name(name: str, most: int = LONGEST_NAME) -> str:
+    """The beginning of a name that takes so many bytes at most, and ends with no part of a letter and no blank."""
+    return name.encode(errors="replace")[:most].decode(errors="ignore").rstrip()
+
+
 def _not_allowed(name: str) -> str:
     """The first character that no name may hold, by its number where it cannot be seen alone; empty without one."""
     odd = next(iter(re.sub(r"[\w.+ -]", "", name)), "")
@@ -283,16 +288,3 @@ def _not_allowed(name: str) -> str:
         return ""
     seen = odd.isprintable() and not unicodedata.combining(odd)
     return f"; not {odd!r}" if seen else f"; not U+{ord(odd):04X} (Unicode: {unicodedata.name(odd, 'no name').lower()})"
-
-
-def check_store(key: str, uri: str) -> None:
-    """Raise ValueError unless MLflow can track into `uri`: a server or a database, and no secret within."""
-    if not re.match(r"(https?|(sqlite|postgresql|mysql|mssql)(\+\w+)?)://|databricks", uri):
-        allowed = "http://, https://, sqlite:///, postgresql://, mysql:// and mssql:// with what follows"
-        raise ValueError(f"{key}={shown(uri)}: allowed are {allowed}")
-    scheme, _, rest = uri.partition("://")
-    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
-    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"  # a user of a web server may be a token
-    if not scheme.startswith("sqlite") and (named or re.match(user, rest)):
-        where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
-        raise ValueError(f"{key}: holds a user or a password; allowed is a URI without, and {where}")

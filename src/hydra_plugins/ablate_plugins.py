@@ -64,10 +64,14 @@ class CellSweeper(Sweeper):
         """
         from ablate.command.compose import cells, refuse_other_launcher, swept_keys
         from ablate.command.composed import composed
+        from ablate.settings.study import ConfigurationError
         from ablate.study.source_code import loaded_digest
 
         HydraConfig.instance().set_config(self.config)  # as Hydra does for a job
         jobs = cells(self.config.hydra.sweeper.params, arguments)
+        size = len(jobs) if self.max_batch_size is None else self.max_batch_size
+        if not isinstance(size, int) or size < 1:
+            raise ConfigurationError(f"hydra.sweeper.max_batch_size={size}: allowed are 1 and more, or null for all")
         keys = swept_keys(jobs, arguments)
         swept = ",".join(sorted(keys))
         if not self.launcher.__module__.startswith(__name__):  # ours looks at its jobs before it starts one
@@ -76,7 +80,6 @@ class CellSweeper(Sweeper):
                 refuse_other_launcher(self.config, composed([*self.config.hydra.overrides.hydra, *job]), chosen)
         told = [f"hydra.sweeper.swept=[{swept}]", f"hydra.sweeper.source='{loaded_digest()}'"]
         jobs = [[*job, *told] for job in jobs]
-        size = self.max_batch_size or len(jobs)
         batches = []
         for start in range(0, len(jobs), size):
             returns = self.launcher.launch(jobs[start : start + size], initial_job_idx=start)

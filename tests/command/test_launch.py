@@ -152,6 +152,12 @@ def test_a_single_job_runs_in_this_process_and_sweeps_run_in_batches(
     assert set(notes(tmp_path)) == {"sa2h-1", "sa2h-2", "sa2h-3"}
 
 
+@pytest.mark.parametrize("size", ["0", "-1", "two"])
+def test_batches_without_a_job_are_refused(launched: Callable[..., int], size: str) -> None:
+    with pytest.raises(ConfigurationError, match=rf"max_batch_size={size}: allowed are 1 and more, or null for all"):
+        launched(print, "-m", "seed=0,1", f"hydra.sweeper.max_batch_size={size}")
+
+
 def test_no_process_at_all_is_refused(launched: Callable[..., int]) -> None:
     with pytest.raises(ConfigurationError, match=r"hydra\.launcher\.n_jobs=0: allowed are 1 and more"):
         launched(print, "-m", "seed=0,1", "hydra.launcher.n_jobs=0")

@@ -1,11 +1,12 @@
 """At the end of a search by a sweeper of Hydra's the best trial is named, with its score and its folder."""
 
+import shlex
 from pathlib import Path
 
 import pytest
 from omegaconf import DictConfig, open_dict
 
-from ablate.command.compose import job_of
+from ablate.command.compose import job_of, jobs_of
 from ablate.command.composed import composed
 from ablate.tasks.entry import Comparison
 
@@ -13,9 +14,9 @@ RATE = "training.learning_rate"
 OPTUNA = "hydra_plugins.hydra_optuna_sweeper.optuna_sweeper.OptunaSweeper"
 
 
-def search(folder: Path, target: str) -> DictConfig:
+def search(folder: Path, target: str, *named: str) -> DictConfig:
     """What Hydra hands to a callback; the plugin, which composes it with this command line, need not be installed."""
-    typed = ["preset=tiny", "objective=val/psnr_fan", f"runs_dir={folder}", "study_name=rate"]
+    typed = ["preset=tiny", "objective=val/psnr_fan", f"runs_dir={folder}", *named]
     config = composed([*typed, f"hydra.sweep.dir={folder}/.hydra"])
     with open_dict(config):
         config.hydra.sweeper._target_ = target
@@ -32,7 +33,7 @@ def test_the_best_trial_is_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    config = search(tmp_path, OPTUNA)
+    config = search(tmp_path, OPTUNA, "study_name=rate")
     (tmp_path / ".hydra/optimization_results.yaml").write_text(FOUND)
     Comparison().on_multirun_end(config)
     words = ["preset=tiny", f"runs_dir={tmp_path}", "study_name=rate", f"{RATE}=0.0015448048928672032", "seed=1"]
@@ -42,6 +43,20 @@ def test_the_best_trial_is_printed(
         f"Trial   rate/sa2h.learning_rate-0.0015448048928672032-seed1-{trial.hash[:8]}",
         f"Look    python -m ablate task=compare preset=tiny runs_dir={tmp_path} study_name=rate",
     ]
+
+
+def test_the_line_to_look_at_a_study_can_be_copied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = search(tmp_path, OPTUNA, "study_name=my rate")
+    (tmp_path / ".hydra/optimization_results.yaml").write_text(FOUND)
+    Comparison().on_multirun_end(config)
+    *_, trial, look = capsys.readouterr().out.splitlines()
+    _, python, *words = shlex.split(look)
+    assert (python, words[:2]) == ("python", ["-m", "ablate"])
+    (job,) = jobs_of(words[2:])
+    assert trial.startswith(f"Trial   {job.settings.study}/")
 
 
 def test_nothing_is_said_of_a_search_that_was_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

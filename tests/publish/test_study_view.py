@@ -17,7 +17,7 @@ from urllib.parse import parse_qs
 import pytest
 from mlflow.entities import Run
 
-from ablate.publish import mark_study, publish_study, study_view
+from ablate.publish import default_uri, mark_study, publish_study, study_view
 from ablate.study.compare import Compared, compare_study
 from ablate.study.job import Job
 from ablate.study.log import Status
@@ -86,6 +86,18 @@ def test_the_page_of_a_study_says_who_is_best_and_links_to_what_shows_it(stopped
     assert study.data.tags["best"] == "sa2h"
     assert child.data.metrics["ms_per_frame"] > 0
     assert (study.info.status, child.data.tags["mlflow.parentRunId"]) == ("FINISHED", study.info.run_id)
+
+
+def test_make_is_named_where_the_makefile_is_that_of_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another project has a Makefile, too, and a folder of runs."""
+    checkout = Path(__file__).parents[2]
+    (tmp_path / "Makefile").touch()
+    for folder in (tmp_path, checkout):
+        monkeypatch.chdir(folder)
+        with_make = study_view._how_to_look(default_uri(folder / "runs")) == "make ui"
+        assert with_make is (folder == checkout)
 
 
 def test_studies_are_in_one_table_with_the_best_network_of_each(stopped_once: Job) -> None:

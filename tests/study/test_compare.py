@@ -25,7 +25,7 @@ from ablate.study.run import Run, RunList, read_list, write_list
 from ablate.study.scores import ScoreKey, by_metric, read_score, write_score
 from ablate.study.training import Training
 from support.finished_runs import PIXELS, timed, write_training
-from support.studies import Unrendered, study_group
+from support.studies import TinyStudy, Unrendered, study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
 MODEL |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
@@ -202,6 +202,16 @@ def test_runs_without_a_discriminator_tell_its_effect_and_leave_the_others(study
     assert set(after.index.unique("effect")) - set(before.index.unique("effect")) == {"training.loss"}
     pd.testing.assert_series_equal(after["estimate"].loc[before.index], before["estimate"])
     assert (after["dof"].loc[before.index] == before["dof"] + 2).all()
+
+
+def test_pictures_of_frames_that_there_are_not_are_said_to_be_missing(
+    tiny_study: TinyStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed_runs = read_list(tiny_study.runs / "tiny-fetal")
+    np.savez(tmp_path / "pictures.npz", frames=[10**6], images=np.zeros((1, 96, 134), np.uint8))
+    monkeypatch.setattr(Training, "pictures_file", tmp_path / "pictures.npz")
+    kept = Study(replace(listed_runs, folder=tmp_path), comparable_runs(listed_runs))
+    assert "There are no pictures: " in " ".join(write_comparison(kept, "a study"))
 
 
 def test_pictures_without_their_pairs_are_said_to_be_missing(study: Path) -> None:

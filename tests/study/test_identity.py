@@ -16,6 +16,7 @@ from ablate.study.scores import names_of, wanted_scores
 from ablate.study.training import State, Training
 from ablate.training import TRAINING_VERSION
 from support.finished_runs import PIXELS, WHOLE, finish
+from support.scene_folders import ball_folder
 
 
 def job(runs: Path, *arguments: str) -> Job:
@@ -173,6 +174,14 @@ def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, dama
     assert not mine.finished
     assert mine.training.why.startswith("without a usable ")
     assert mine.wanted
+
+
+@pytest.mark.parametrize("name", [".hidden", "+1", "with a blank "])
+def test_the_folder_of_a_scene_may_have_any_name(tmp_path: Path, name: str) -> None:
+    folder = ball_folder(tmp_path / name, {"heights": [-15, 0, 15], "angles": [-40, 0, 40], "axis": [0, 0, 1]})
+    mine = job(tmp_path / "runs", "scene=folder", f"scene.folder='{folder}'", "dataset.grid=null")
+    finish(mine)
+    assert (mine.finished, mine.training.why) == (True, "")
 
 
 def test_a_damaged_description_is_written_again_but_not_beside_weights(tmp_path: Path) -> None:

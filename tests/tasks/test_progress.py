@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from ablate.command.compose import jobs_of
+from ablate.storage import write_json
 from ablate.study.job import Job, claim
 from ablate.tasks.plan import progress, show_progress
 from support.finished_runs import PARAMETERS
@@ -46,6 +47,14 @@ def test_a_longer_training_takes_longer(jobs: list[Job], tmp_path: Path) -> None
     finish(jobs[0], 50.0)
     longer = jobs_of(["variant=nsa2h", f"runs_dir={tmp_path}", "training.steps=400"])
     assert progress(longer)["seconds"].tolist() == [200.0]
+
+
+def test_pairs_that_are_there_in_part_are_to_be_simulated(jobs: list[Job], capsys: pytest.CaptureFixture[str]) -> None:
+    folder = jobs[0].data.folder
+    (folder / "pairs.zarr").mkdir(parents=True)
+    write_json(folder / "about.json", {"motions": ["lateral"]})  # those after motions are not there
+    show_progress(jobs)
+    assert f"data: {folder} (to be simulated)" in capsys.readouterr().out
 
 
 def test_a_damaged_checkpoint_is_named_and_stops_nothing(jobs: list[Job], capsys: pytest.CaptureFixture[str]) -> None:

@@ -97,6 +97,16 @@ def test_gain_brightens_the_picture_alone_and_stands_in_the_name_of_its_folder(
     assert json.loads((folders[1] / "settings.json").read_text())["gain_db"] == 6
 
 
+def test_a_file_of_poses_may_have_a_long_name(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A letter of Chinese takes three bytes, and a name 255 at most."""
+    poses = tmp_path / f"{80 * '位'}.npy"
+    np.save(poses, np.load(tmp_path / "slide.npy")[:1])
+    assert run("task=render", f"pose='{poses}'", *arguments) == 0
+    assert Path(capsys.readouterr().out.strip()).name.startswith(f"ball-{65 * '位'}")
+
+
 @pytest.mark.parametrize(
     ("words", "name"),
     [

@@ -1,5 +1,6 @@
 """What a search came to: the best trial of a sweeper of Hydra's that optimises a score."""
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,11 +41,12 @@ def _said(config: DictConfig, best: Mapping[str, Any], score: object) -> list[st
     job = job_of([*kept, *words], tuple(best), given["hydra"])
     folder = job.folder
     shown = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+    named = [word for word in kept if _key(word) in _OF_STUDY]
     shown_score = f"{score:.5g}" if isinstance(score, float | int) else score
     return [
         f"Best    {' '.join(words)}   ({config.objective} {shown_score})",
         f"Trial   {shown}",
-        f"Look    python -m ablate task=compare {' '.join(word for word in kept if _key(word) in _OF_STUDY)}".rstrip(),
+        f"Look    {shlex.join(['python', '-m', 'ablate', 'task=compare', *named])}",
     ]
 
 

@@ -26,6 +26,14 @@ EXAMPLES = "examples/test"
 NETWORK = "network.pt"
 _FRAMES, _FRAME_PX, _HEAD_PX = 3, 512, 16
 _SHOWN_PX = 400  # MLflow shows 256, which is too little to judge speckle by
+_LEGEND = (
+    "**Model metrics**: `examples/` are test frames beside their targets; `test/` was measured at the end, and "
+    "`test/floor_` is what the same frames score, simulated with other scatterers and paths, and `test/formula_` "
+    "what a formula without weights makes of the maps; `frames/` "
+    "are validation frames above their targets as training went on; `train/` and `val/` are curves. The step of "
+    f"all these is the number of images seen. **Artifacts**: the trained network in `{NETWORK}`, every metric of "
+    "every frame in `per_image.parquet`; configuration, code and environment in `provenance`."
+)
 
 
 def publish_results(store: Store, run_id: str, training: Training, scores: Sequence[str], time_ms: int) -> None:
@@ -61,11 +69,11 @@ def publish_results(store: Store, run_id: str, training: Training, scores: Seque
         try:
             _publish_examples(store, run_id, training)
             pretrained.save(renderer_of(training), network)
-        except (OSError, ValueError, KeyError):  # files are missing or damaged, or it is a network of the user's own
+        except (OSError, ValueError, LookupError):  # files are missing or damaged, or it is a network of the user's own
             network.unlink(missing_ok=True)
         store.log_files(run_id, [path for path in (table, network) if path.exists()])
         loads = _how_to_load(store, run_id) if network.exists() else ""
-    store.client.set_tag(run_id, NOTE, "\n\n".join(filter(None, [_in_words(scalars), loads, _legend()])))
+    store.client.set_tag(run_id, NOTE, "\n\n".join(filter(None, [_in_words(scalars), loads, _LEGEND])))
 
 
 def _is_shown(scalar: str) -> bool:
@@ -101,17 +109,6 @@ def _how_to_load(store: Store, run_id: str) -> str:
     where = f'"runs:/{run_id}/{NETWORK}", tracking_uri="{store.uri}"'
     lines = [f"path = mlflow.artifacts.download_artifacts({where})", "renderer = ablate.load(path)"]
     return "Load it in Python: " + " ".join(f"`{line}`" for line in lines)
-
-
-def _legend() -> str:
-    return (
-        "**Model metrics**: `examples/` are test frames beside their targets; `test/` was measured at the end, and "
-        "`test/floor_` is what the same frames score, simulated with other scatterers and paths, and `test/formula_` "
-        "what a formula without weights makes of the maps; `frames/` "
-        "are validation frames above their targets as training went on; `train/` and `val/` are curves. The step of "
-        f"all these is the number of images seen. **Artifacts**: the trained network in `{NETWORK}`, every metric of "
-        "every frame in `per_image.parquet`; configuration, code and environment in `provenance`."
-    )
 
 
 def _publish_examples(store: Store, run_id: str, training: Training) -> None:

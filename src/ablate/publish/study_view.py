@@ -23,6 +23,7 @@ from ablate.study.log import Status
 from ablate.study.opened import Study
 from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON
+from ablate.study.source_code import PACKAGE
 
 _STUDY = "study"  # the kind of its run
 _VIEW = 2  # changes when comparisons that were published before are to be published again
@@ -75,7 +76,8 @@ def _how_to_look(uri: str) -> str:
     """The address of a server, or the command that starts one for a database."""
     if uri.startswith("http"):
         return uri
-    has_make = Path("Makefile").exists() and uri == default_uri(Path("runs").resolve())
+    here = Path.cwd()
+    has_make = here == PACKAGE.resolve().parents[1] and uri == default_uri(here / "runs")
     return "make ui" if has_make else f"mlflow ui --workers 1 --backend-store-uri {shlex.quote(uri)}"
 
 

@@ -19,7 +19,7 @@ from ablate.dataset.encoding import Encoding
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
-from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, composed_letters, setting, shown
+from ablate.setting import LONGEST_NAME, Checked, check_name, composed_letters, cut_name, setting, shown
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import MOST_GAIN_DB, ConvexProbe, Probe, SimulatorSettings
 
@@ -167,11 +167,24 @@ class TrackingSettings(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.uri is not None:
-            check_store("uri", self.uri)
+            _check_store(self.uri)
         object.__setattr__(self, "experiment", composed_letters(self.experiment))
         if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
             allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-@/, the first a letter, a digit, _ or /"
             raise ValueError(f"experiment={shown(self.experiment)}: allowed are {allowed}")
+
+
+def _check_store(uri: str) -> None:
+    """Raise ValueError unless MLflow can track into `uri`: a server or a database, and no secret within."""
+    if not re.match(r"(https?|(sqlite|postgresql|mysql|mssql)(\+\w+)?)://|databricks", uri):
+        allowed = "http://, https://, sqlite:///, postgresql://, mysql:// and mssql:// with what follows"
+        raise ValueError(f"uri={shown(uri)}: allowed are {allowed}")
+    scheme, _, rest = uri.partition("://")
+    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
+    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"  # a user of a web server may be a token
+    if not scheme.startswith("sqlite") and (named or re.match(user, rest)):
+        where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
+        raise ValueError(f"uri: holds a user or a password; allowed is a URI without, and {where}")
 
 
 @dataclass(frozen=True)
@@ -255,7 +268,7 @@ class StudySettings(Checked):
         if self.scene.folder is None:
             return self.scene.kind
         name = re.sub(r"[^\w.+ -]", "_", composed_letters(Path(self.scene.folder).resolve().name))
-        return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
+        return cut_name(name, _LONGEST_SCENE_NAME)
 
     @property
     def label_seed(self) -> int:

@@ -22,6 +22,7 @@ from ablate.study.frame_times import TIMES, time_networks, untimed
 from ablate.study.opened import Study
 from ablate.study.reading import provenance
 from ablate.study.run import COMPARISON, Run, RunList, write_list
+from ablate.study.scores import metric_in
 from ablate.study.source_code import loaded_digest
 from ablate.study.training import refuse_link
 
@@ -191,7 +192,7 @@ def _with_pictures(study: Study) -> tuple[StudyResults, list[str]]:
     """The results of a study with its pictures, or a sentence why there are none."""
     try:
         frames = study.pictures
-    except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
+    except (OSError, ValueError, LookupError) as error:  # pairs or pictures are missing or damaged
         return study.results, [f"There are no pictures: {' '.join(str(error).split())}."]
     missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
     return replace(study.results, pictures=frames), missing
@@ -215,7 +216,7 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
     for note in dict.fromkeys(note for note, _ in run_notes):
         names = [name for other, name in run_notes if other == note]
         notes.append(note if len(names) == len(runs) else f"{listed(names)}: {note}")
-    scored = {name.partition("@")[0] for run in runs for name in run.score_names}
+    scored = {metric_in(name) for run in runs for name in run.score_names}
     unscored = [m.name for m in METRICS.values() if m.uses(FeatureKind.inception) and m.name not in scored]
     if unscored:
         how = "evaluation.inception=path/to/file or =download"

@@ -154,7 +154,7 @@ def time_networks(study_dir: Path, runs: Sequence[Run], named: Collection[str] =
         TypeError,
         RuntimeError,
         ImportError,
-    ) as error:  # no pairs, .
+    ) as error:  # such as lost pairs
         return f"Times were not measured: {' '.join(str(error).split())}."
     with written_whole(study_dir / TIMES) as partial:
         pd.concat([times[~here], measured[list(_KEPT)]]).to_csv(partial, index=False)

@@ -29,17 +29,16 @@ def scored_frames(runs: Sequence[Run], reference: str = REFERENCE) -> tuple[pd.D
     frames, scalars = [], []
     tellers = {source: _tellers(runs, source, reference) for source in BASELINES}
     for run in runs:
+        keys = {"seed": run.seed, "data": run.data}
         table = run.scores[run.scores["split"] == "test"].assign(data=run.data)
         named = {MODEL: run.label, **{source: name for source, name in BASELINES.items() if run in tellers[source]}}
         frames += [table[table["source"] == source].assign(variant=name) for source, name in named.items()]
         frame_metrics = set(table["metric"])
         for source, name in named.items():
-            keys = {"variant": name, "seed": run.seed, "data": run.data}
             values = _rows_of_scalars(run.scalars, SCALAR_PREFIXES[source], frame_metrics)
-            scalars += [{**keys, **row} for row in values]
+            scalars += [{"variant": name, **keys, **row} for row in values]
         parameters = run.scalars["parameters_generator"] + run.scalars["parameters_discriminator"]
-        run_columns = {"variant": run.label, "seed": run.seed, "data": run.data}
-        scalars.append({**run_columns, "metric": "parameters", "value": parameters})
+        scalars.append({"variant": run.label, **keys, "metric": "parameters", "value": parameters})
     table, times = pd.DataFrame(scalars), frame_times(runs, reference)
     filled = [part for part in frames if len(part)]
     return (
@@ -63,11 +62,11 @@ def _tellers(runs: Sequence[Run], source: str, reference: str) -> list[Run]:
 
 def _rows_of_scalars(values: Mapping[str, float], prefix: str, of_frames: Collection[str]) -> list[dict[str, Any]]:
     """The test scores of a source that frames do not have, from all scalars of a run."""
+    others = tuple(other for other in SCALAR_PREFIXES.values() if other and other != prefix)
     rows = []
     for name, value in values.items():
         part, _, metric = name.rpartition("/")
-        others = [other for other in SCALAR_PREFIXES.values() if other and other != prefix]
-        if part != "test" or not metric.startswith(prefix) or metric.startswith(tuple(others)):
+        if part != "test" or not metric.startswith(prefix) or metric.startswith(others):
             continue
         metric = metric.removeprefix(prefix)
         if metric not in of_frames and not is_bound(metric):
@@ -123,14 +122,7 @@ def provenance(runs: Sequence[Run]) -> dict[str, str]:
 def results_of(usable: ComparableRuns, reference: str = REFERENCE, study: str = "") -> StudyResults:
     """The scores of runs, which may show several anatomies, and the design that they make up; without pictures.
 
-    Parameters
-    ----------
-    usable : ComparableRuns
-        The runs.
-    reference : str
-        The variant that the others are compared with.
-    study : str
-        Its components are those that were registered for it.
+    Components are those that were registered for the `study`.
     """
     runs = usable.all
     factors = factors_of(runs)
@@ -179,21 +171,14 @@ def table_of_runs(runs: Sequence[Run]) -> pd.DataFrame:
     Means are over the frames of which all runs have a value; of times there are quartiles too.
     """
     levels = {run.label: run.changed | levels_of(run.identity) for run in runs}  # with seeds and groups of labels
-    return _wide(*scored_frames(runs), levels, factors_of(runs))
-
-
-def _wide(
-    per_image: pd.DataFrame, scalars: pd.DataFrame, levels: Mapping[str, Mapping[str, object]], factors: Sequence[str]
-) -> pd.DataFrame:
-    """One row a run: variant, seed, data, the level of every factor that varies or is declared, and every mean."""
-    run = ["variant", "seed", "data"]
-    everything = analysis.run_means(per_image, scalars)
-    wide = everything.pivot(index=run, columns="metric", values="value").reset_index()
-    if len(times := scalars[scalars["metric"] == FRAME_TIME]):
-        bounds = times.set_index(run)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
-        wide = wide.join(bounds.astype("float64"), on=run)
-    for place, factor in enumerate(factors, start=len(run)):
-        wide.insert(
-            place, factor, [None if _lacks(levels[v], factor) else levels[v].get(factor) for v in wide["variant"]]
-        )
+    per_image, scalars = scored_frames(runs)
+    columns = ["variant", "seed", "data"]
+    wide = analysis.run_means(per_image, scalars).pivot(index=columns, columns="metric", values="value").reset_index()
+    times = scalars[scalars["metric"] == FRAME_TIME]
+    if len(times):
+        bounds = times.set_index(columns)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
+        wide = wide.join(bounds.astype("float64"), on=columns)
+    for place, factor in enumerate(factors_of(runs), start=len(columns)):
+        networks = [levels[variant] for variant in wide["variant"]]
+        wide.insert(place, factor, [None if _lacks(network, factor) else network.get(factor) for network in networks])
     return wide

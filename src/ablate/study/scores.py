@@ -19,11 +19,11 @@ import pyarrow.parquet as pq
 
 from ablate.evaluation import Scores
 from ablate.evaluation.settings import EvaluationSettings
-from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, metric_of
+from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, FeatureKind, choose_metrics
 from ablate.setting import shown
 from ablate.storage import check_unpacked, remove_partial, written_whole
 from ablate.study.parquet_pages import check_pages
-from ablate.user_code import code_digest, load
+from ablate.user_code import code_digest
 
 _METADATA = b"ablate"
 _BYTES_OF_A_VALUE = 8
@@ -84,33 +84,19 @@ def names_of(asked: str | Iterable[str]) -> list[str]:
 
 
 def wanted_scores(asked: str | Iterable[str], evaluation: EvaluationSettings, pixels: str) -> tuple[ScoreKey, ...]:
-    """The scores that settings ask for.
+    """The scores that are `asked` for, as by `metrics=` of the command line; a user's own metrics are imported.
 
-    Parameters
-    ----------
-    asked : str or iterable of str
-        As `metrics=` of the command line: names, sets, and paths of a user's own, which are imported.
-    evaluation : EvaluationSettings
-        Without `inception` no distance of Inception's features is wanted.
-    pixels : str
-        The digest of the test frames.
+    Without `evaluation.inception` no distance of Inception's features is wanted. `pixels` is the digest of the test
+    frames.
     """
     keys = []
     for name in names_of(asked):
-        if name in METRICS:
-            metric, source = METRICS[name], f"v{METRICS_VERSION}"
-        else:
-            load(name)
-            metric, source = metric_of(_own_name(name)), code_digest(name)[:_SHORT]
+        (metric,) = choose_metrics([name]).values()
+        source = f"v{METRICS_VERSION}" if name in METRICS else code_digest(name)[:_SHORT]
         if metric.uses(FeatureKind.inception) and evaluation.inception is None:
             continue
         keys.append(ScoreKey(metric.name, source, evaluation.noise_draws, pixels, asked=name))
     return tuple(keys)
-
-
-def _own_name(path: str) -> str:
-    """The name that the values of a user's own metric have."""
-    return str(getattr(load(path), "name", path.rpartition(".")[2]))
 
 
 def by_metric(scores: Scores, keys: Iterable[ScoreKey]) -> dict[ScoreKey, Score]:
@@ -155,7 +141,7 @@ def read_score(path: Path) -> Score:
         metrics = set(values["metric"])
     except (OSError, ValueError, KeyError) as error:
         raise ValueError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
-    if metrics - {path.name.partition("@")[0]}:
+    if metrics - {metric_in(path.name)}:
         raise ValueError(f"{path}: holds values of {shown(', '.join(sorted(map(str, metrics))))}")
     return Score(values, about["scalars"], tuple(about["notes"]), about["scored"])
 

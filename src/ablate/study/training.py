@@ -30,7 +30,8 @@ ABOUT = "training.json"  # what it is: hash, label, seed, changed, identity, set
 RESULT = "trained.json"  # what it came to; written when the last step is done
 _PARAMETERS = ("parameters_generator", "parameters_discriminator")  # scalars that every training has
 _KINDS: Mapping[str, type] = {"pixels": str, "scalars": dict, "notes": list, "started": str, "ended": str}
-_NAME = r"\w[\w.+ -]*"  # of a label or a data set
+# They lead to no other folder. The name of a data set begins with that of a folder of a scene, which may be hidden.
+_NAMES = {"label": r"\w[\w.+ -]*", "data": r"[\w.+ -]*\w"}
 
 
 class State(StrEnum):
@@ -47,8 +48,6 @@ class Training:
     """The folder of a training. Values are read when they are asked for, and once."""
 
     folder: Path
-
-    # What the folder holds.
 
     @property
     def checkpoint(self) -> Path:
@@ -103,8 +102,6 @@ class Training:
         except Exception as error:  # zip and NumPy raise many kinds
             _LOG.warning("%s is damaged: %s; others are shown", self.pictures_file, " ".join(str(error).split()))
         return {}
-
-    # What it is.
 
     @property
     def hash(self) -> str:
@@ -190,8 +187,9 @@ class Training:
         return self.folder / ".lock"
 
     def begin_again(self) -> None:
-        """Forget what a training came to whose checkpoint is gone: its scores are those of other weights."""
+        """Forget what a training came to whose checkpoint is gone: pictures and scores are those of other weights."""
         (self.folder / RESULT).unlink(missing_ok=True)
+        self.pictures_file.unlink(missing_ok=True)
         rmtree(self.scores, ignore_errors=True)
 
     def write_result(self, result: Mapping[str, Any]) -> None:
@@ -275,12 +273,11 @@ def trainings_in(study_dir: Path) -> list[Training]:
 
 
 def _is_described(about: Mapping[str, Any]) -> bool:
-    """Whether this says what a training is. It may come from anybody: names lead to no other folder."""
+    """Whether this says what a training is; it may come from anybody."""
     dicts = [about.get(key) for key in ("changed", "settings", "identity")]
-    names = [about.get(key) for key in ("label", "data")]
     return (
         all(isinstance(value, dict) for value in dicts)
-        and all(isinstance(name, str) and re.fullmatch(_NAME, name) for name in names)
+        and all(isinstance(about.get(key), str) and re.fullmatch(name, about[key]) for key, name in _NAMES.items())
         and isinstance(about.get("seed"), int)
         and digest(about["identity"]) == about.get("hash")
     )

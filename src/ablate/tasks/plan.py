@@ -8,8 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from ablate.command.compose import without_repetitions
+from ablate.settings.study import refusing
+from ablate.sources.source import source_of
 from ablate.study.job import Job
 from ablate.study.training import State, trainings_in
+from ablate.tasks.study import data_sets
 from ablate.training import read_checkpoint
 
 _FINISHED = "finished"
@@ -23,8 +26,10 @@ def show_progress(jobs: Sequence[Job]) -> int:
     print(f"\n{_rest(table)}")
     for study in dict.fromkeys(job.settings.study_dir for job in jobs):
         print(f"runs: {study}")
-    for data in dict.fromkeys(job.data for job in jobs):
-        print(f"data: {data.folder} ({'there' if data.exists else 'to be simulated'})")
+    with refusing():  # a data set that is damaged
+        for job, maps in data_sets(jobs):
+            is_there = not job.data.lacks(source_of(job.settings).offered(maps))
+            print(f"data: {job.data.folder} ({'there' if is_there else 'to be simulated'})")
     return 0
 
 

@@ -12,7 +12,7 @@ from ablate.analysis import preview_figure
 from ablate.anatomy import Scene
 from ablate.command.labels import frame_words
 from ablate.dataset import Pairs, Part, read_poses
-from ablate.setting import LONGEST_NAME, plain
+from ablate.setting import cut_name, plain
 from ablate.settings.study import ConfigurationError, ExportFormat, StudySettings, refusing
 from ablate.sources.prepare import frames_of, simulator_of
 from ablate.sources.source import source_of
@@ -42,8 +42,8 @@ def render(jobs: Sequence[Job]) -> int:
     name, poses = named
     chosen = simulator_of(settings, job.data, scene, grid, poses)
     made_with, display = _made_with(settings, chosen, scene, poses), Display(gain_db=settings.gain_db)
-    called = ".".join(filter(None, (f"{settings.scene_name}-{name}", frame_words(job.words))))[:LONGEST_NAME]
-    folder = _folder_of(settings.results / "render" / called, made_with)
+    called = ".".join(filter(None, (f"{settings.scene_name}-{name}", frame_words(job.words))))
+    folder = _folder_of(settings.results / "render" / cut_name(called), made_with)
     simulator = simulators_of(settings.scene.target)(scene, settings.probe, chosen, poses=poses)
     images = []
     for i, pose in enumerate(poses):

@@ -103,7 +103,7 @@ def simulate(jobs: Sequence[Job], launch: Launch) -> int:
 
     Pairs that exist are checked, and damaged ones are made again.
     """
-    sets = _data_sets(jobs)
+    sets = data_sets(jobs)
     for job, maps in sets:
         for pairs in job.data.all_pairs:
             for damaged in remove_damaged(pairs, maps):
@@ -128,7 +128,7 @@ def simulate_for_job(job: Job) -> None:
     prepare_data(job.settings, job.data, job.identity["data"], maps_needed([job.settings.model]))
 
 
-def _data_sets(jobs: Sequence[Job]) -> list[tuple[Job, frozenset[str]]]:
+def data_sets(jobs: Sequence[Job]) -> list[tuple[Job, frozenset[str]]]:
     """Every data set that the jobs read, as the first job that does, with the maps that at least one of them reads."""
     sets: dict[Path, list[Job]] = {}
     for job in jobs:
@@ -138,7 +138,7 @@ def _data_sets(jobs: Sequence[Job]) -> list[tuple[Job, frozenset[str]]]:
 
 def _simulate_for(jobs: Sequence[Job]) -> None:
     with refusing():  # a mesh with a hole, more frames than poses, a full disk, ...
-        for job, maps in _data_sets(jobs):
+        for job, maps in data_sets(jobs):
             prepare_data(job.settings, job.data, job.identity["data"], maps)
 
 
