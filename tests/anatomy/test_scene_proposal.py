@@ -43,6 +43,14 @@ def test_the_unit_is_the_one_that_makes_a_body(tmp_path: Path, scale: float, uni
     assert load_scene(tmp_path).structures[0].mesh.extents.max() == pytest.approx(300, rel=0.05)
 
 
+@pytest.mark.parametrize(("space", "front"), [("RAS", (0, 1, 0)), ("LPS", (0, -1, 0))])
+def test_the_front_is_that_of_the_space_that_a_mesh_names(tmp_path: Path, space: str, front: tuple[float, ...]) -> None:
+    surface = trimesh.creation.icosphere(1, radius=60).export(file_type="obj")
+    (tmp_path / "liver.obj").write_text(f"# 3D Slicer output. SPACE={space}\n{surface}")
+    (tmp_path / "scene.yaml").write_text(proposed_scene(tmp_path))
+    assert load_sites(tmp_path).front == front
+
+
 def test_a_mesh_that_cannot_be_used_is_named_in_a_comment(tmp_path: Path) -> None:
     (folder_of(tmp_path) / "torn.ply").write_text("not a mesh")
     text = proposed_scene(tmp_path)
@@ -103,6 +111,14 @@ def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
             ("gall_bladder", "bile"),
             ("tibialis_anterior_artery", "blood"),
             ("iliac_artery_left", "blood"),
+        ],
+        *[
+            ("bowel_gas", "gas"),
+            ("gastric wall", "stomach_wall"),
+            ("lung", "gas"),
+            ("lung_tumor", "soft_tissue"),
+            ("lung_nodules", "soft_tissue"),
+            ("colon_cancer_primaries", "soft_tissue"),
         ],
     ],
 )

@@ -64,6 +64,21 @@ def test_a_volume_of_labels_decides(folder: Path) -> None:
     assert hash_of(folder) != before
 
 
+@pytest.mark.parametrize(("region", "decides"), [("", False), (", region: cyst", True)])
+def test_a_table_that_names_labels_decides_where_the_probe_looks_at_one_of_them(
+    folder: Path, region: str, decides: bool
+) -> None:
+    values = np.zeros((8, 8, 8), np.uint8)
+    values[2:5, 3:5, 3:5], values[5:7, 3:5, 3:5] = 1, 2
+    nibabel.save(nibabel.Nifti1Image(values, np.eye(4)), folder / "labels.nii")
+    (folder / "labels.csv").write_text("label,name\n1,cyst\n2,mass\n")
+    sites = SCENE.replace("count: 2}}", f"count: 2}}{region}}}")
+    (folder / "scene.yaml").write_text(sites + "labels: {file: labels.nii, tissues: {1: liver, 2: liver}}\n")
+    before = hash_of(folder)
+    (folder / "labels.csv").write_text("label,name\n1,mass\n2,cyst\n")
+    assert (hash_of(folder) != before) is decides
+
+
 def test_the_low_quality_image_is_made_for_those_who_read_it() -> None:
     unet = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "depth": 8}
     assert "low" not in maps_needed([GeneratorSpec()])

@@ -55,6 +55,7 @@ def proposed_scene(folder: Path) -> str:
     lower, upper = np.array(labels["z_mm"]) / UNITS_MM[unit] if labels else bounds[:, 2]
     heights = {"lower": lower + 0.2 * (upper - lower), "upper": upper - 0.2 * (upper - lower)}
     about = {"unit": unit, "extent": extent, "extent_mm": extent * UNITS_MM[unit], "unusable": lines}
+    about["in_ras"] = bool(labels) or any(mesh_space(folder / name) == "RAS" for name in loaded)
     template = Template(files("ablate.anatomy").joinpath("scene.yaml.jinja").read_text("utf-8"))
     return template.render(structures=structures, labels=labels, quoted=_quoted, **about, **heights)
 

@@ -161,6 +161,35 @@ def test_a_structure_is_called_as_the_volume_calls_its_label_and_found_by_its_nu
     assert folder.sites.region == ("spleen",)
 
 
+@pytest.mark.parametrize(
+    ("names", "called"),
+    [
+        ({1: "GTV/CTV", 2: "3rd/4th ventricle", 7: "CTV"}, ["GTV/CTV", "3rd/4th ventricle", "CTV"]),
+        ({1: "liver", 2: "liver", 7: "liver 2"}, ["liver 1", "liver 2", "liver 2"]),
+        ({1: "label 2"}, ["label 2", "label 2", "label 7"]),
+    ],
+)
+def test_a_label_has_its_own_tissue_whatever_it_and_others_are_called(
+    tmp_path: Path, names: dict[int, str], called: list[str]
+) -> None:
+    save_named(tmp_path / "a.nii.gz", blocks([1, 2, 7]), names)
+    content = {"labels": {"file": "a.nii.gz", "tissues": {1: "liver", 2: "spleen", 7: "kidney"}}}
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(content))
+    for _ in range(2):  # built, and read again
+        structures = load_scene(tmp_path, tmp_path / "cache").structures
+        assert [s.tissue.name for s in structures] == ["liver", "spleen", "kidney"]
+        assert [s.mesh.metadata["name"] for s in structures] == called
+
+
+def test_a_mask_that_is_called_body_leaves_the_body_its_tissue(tmp_path: Path) -> None:
+    save(tmp_path / "image.nii", np.ones((22, 22, 10), np.uint8))
+    masks_folder(tmp_path, {"body.nii": blocks([1])}, {"body.nii": "bone"})
+    content = yaml.safe_load((tmp_path / "scene.yaml").read_text())
+    content["labels"]["body"] = {"file": "image.nii", "above": 0.5, "tissue": "fat"}
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(content))
+    assert [s.tissue.name for s in load_scene(tmp_path).structures] == ["fat", "bone"]
+
+
 def test_a_name_that_is_no_class_of_the_table_is_refused_by_its_label(tmp_path: Path) -> None:
     save_named(tmp_path / "seg.nii.gz", blocks([1, 2]), {1: "liver", 2: "left wing"})
     content = {"labels": {"file": "seg.nii.gz", "tissues": "totalsegmentator"}}

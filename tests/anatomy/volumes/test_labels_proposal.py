@@ -91,7 +91,15 @@ def test_meshes_beside_a_volume_without_labels_are_still_proposed(tmp_path: Path
     assert [s.tissue.name for s in load_scene(tmp_path).structures] == ["liver"]
 
 
-@pytest.mark.parametrize("values", [image(organs(), 0, 99), np.zeros((9, 9, 9), np.uint8), -organs().astype(np.int16)])
+@pytest.mark.parametrize(
+    "values",
+    [
+        image(organs(), 0, 99),
+        np.zeros((9, 9, 9), np.uint8),
+        -organs().astype(np.int16),
+        np.where(organs(), np.float32(np.inf), 0),
+    ],
+)
 def test_a_volume_without_labels_is_refused(tmp_path: Path, values: np.ndarray) -> None:
     save(tmp_path / "image.nii", values)
     with pytest.raises(ValueError, match=r"scene\.folder: .*image\.nii: it has no labels but holds .*; allowed"):

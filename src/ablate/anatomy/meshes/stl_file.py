@@ -9,9 +9,12 @@ from ablate.anatomy.meshes.text import mesh_text, rows_of_three
 from ablate.setting import shown
 
 _HEAD, _TRIANGLE = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+#: A letter for each kind of line, so that the order of lines is one word, which a regular expression can check.
 _CODES = {
     "solid": "s", "facet": "f", "outer": "o", "vertex": "v", "endloop": "l", "endfacet": "d", "endsolid": "e"
 }  # fmt: skip
+_FACET = "fovvvld"
+_TORN_FACET = "f(?:o(?:v(?:v(?:vl?)?)?)?)?"  # its first lines
 
 
 def read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -35,11 +38,12 @@ def read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _ascii_corners(text: str) -> np.ndarray:
     lines = [stripped for line in text.split("\n") if (stripped := line.strip())]
     codes = "".join(map(_code, lines))
-    whole = re.compile("(?:s(?:fovvvld)*e)*").match(codes)
-    torn = re.compile("s?((?:fovvvld)*)(?:f(?:o(?:v(?:v(?:vl?)?)?)?)?)?").match(codes, whole.end() if whole else 0)
-    if whole and torn and whole.end() < len(codes):
-        place = f"after {len(torn[1]) // 7} whole triangles of solid {codes.count('e', 0, whole.end()) + 1}"
-        next_line = f"there is {shown(lines[torn.end()])}" if torn.end() < len(lines) else "the file ends"
+    whole_solids = re.compile(f"(?:s(?:{_FACET})*e)*").match(codes)
+    end = whole_solids.end() if whole_solids else 0
+    rest = re.compile(f"s?((?:{_FACET})*)(?:{_TORN_FACET})?").match(codes, end)
+    if rest and end < len(codes):
+        place = f"after {len(rest[1]) // len(_FACET)} whole triangles of solid {codes.count('e', 0, end) + 1}"
+        next_line = f"there is {shown(lines[rest.end()])}" if rest.end() < len(lines) else "the file ends"
         raise ValueError(f"{place}, and before its endsolid, {next_line}")
     words: list[str] = []
     for line, code in zip(lines, codes, strict=True):

@@ -41,7 +41,8 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         for part, cells in parts.items():
             if cells is None or cells.GetNumberOfCells() == 0:
                 continue
-            ends, numbers = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
+            ends = vtk_to_numpy(cells.GetOffsetsArray())
+            numbers = vtk_to_numpy(cells.GetConnectivityArray())
             in_order = ends[0] == 0 and ends[-1] == len(numbers) and (np.diff(ends) >= 0).all()
             if not (in_order and numbers.min() >= 0 and numbers.max() < surface.GetNumberOfPoints()):
                 raise ValueError("a polygon names a vertex that is not in the file")  # else the filter reads beside it

@@ -2,7 +2,6 @@
 
 import csv
 import re
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -50,6 +49,7 @@ class LabelMap:
     complete: bool  # whether each label must be in the volume
     body: Body | None
     guessed: str = ""  # what was guessed by numbers alone, for whoever looks at a first frame
+    table: Path | None = None  # beside the volume, where that names the labels
 
     @property
     def volume(self) -> VolumeFile:
@@ -93,7 +93,7 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
         When a file is missing or cannot be used, or a key or value is not as it should be.
     """
     content = mapping(content, where, ("file", "tissues", "masks", "body"))
-    named, guessed = content.get("tissues"), ""
+    named, guessed, table = content.get("tissues"), "", None
     if "masks" in content:
         if twice := [key for key in ("file", "tissues") if key in content]:
             raise ValueError(f"{where}.{twice[0]}: allowed is either {twice[0]} or masks, which have a file a label")
@@ -103,7 +103,7 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
         if named == TABLE:
             labels, guessed = _classes(volumes[0].path, tissues, f"{where}.tissues")
         else:
-            labels = _labels(named, tissues, volumes[0].path, f"{where}.tissues")
+            labels, table = _labels(named, tissues, volumes[0].path, f"{where}.tissues")
     body = None
     if content.get("body"):
         own, key = mapping(content["body"], f"{where}.body", ("file", "above", "tissue")), f"{where}.body"
@@ -114,7 +114,7 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
         body = Body(image, number(own.get("above"), f"{key}.above"), tissue)
     if body is None and not any(label.tissue for label in labels):
         raise ValueError(f"{where}.tissues: every label is null; allowed is at least one with a tissue, or a body")
-    return LabelMap(volumes, labels, named != TABLE, body, guessed)
+    return LabelMap(volumes, labels, named != TABLE, body, guessed, table)
 
 
 def _masks(
@@ -151,25 +151,27 @@ def _classes(path: Path, tissues: Mapping[str, Tissue], where: str) -> tuple[tup
                 "known; allowed are mappings of labels to tissues, as task=describe proposes them"
             )
         classes[label] = found
-    count_of_name = Counter(name for name, _ in classes.values())  # parts of one organ have its name and their number
-    called = {label: name if count_of_name[name] == 1 else f"{name} {label}" for label, (name, _) in classes.items()}
-    return tuple(Label(n, called[n], tissues[one_of(classes[n][1], tissues, where)]) for n in sorted(classes)), ""
+    called = {label: name for label, (name, _) in classes.items()}  # parts of one organ have one name
+    by_number = sorted(classes.items())
+    return tuple(Label(n, _called(n, called), tissues[one_of(t, tissues, where)]) for n, (_, t) in by_number), ""
 
 
-def _labels(named: Any, tissues: Mapping[str, Tissue], path: Path, where: str) -> tuple[Label, ...]:
-    """The labels of `{number: tissue}`, called as the volume or a table beside it calls them."""
+def _labels(named: Any, tissues: Mapping[str, Tissue], path: Path, where: str) -> tuple[tuple[Label, ...], Path | None]:
+    """The labels of `{number: tissue}`, called as the volume or a table beside it calls them; and that table."""
     if not isinstance(named, Mapping) or not named:
         raise refusal(where, named, f"{TABLE}, or mappings of labels to tissues")
-    names = names_in_header(path) or names_beside(path, [label for label in named if isinstance(label, int)])[0]
+    names, table = names_in_header(path), ""
+    if not names:
+        names, table = names_beside(path, [label for label in named if isinstance(label, int)])
     labels = []
     for label, name in named.items():
         if not isinstance(label, int) or isinstance(label, bool) or not 1 <= label <= LARGEST_LABEL:
             raise refusal(f"{where}: label", label, f"whole numbers from 1 to {LARGEST_LABEL}")
         tissue = None if name is None else tissues[one_of(name, tissues, f"{where}.{label}")]
         labels.append(Label(label, _called(label, names), tissue))
-    if sum(label.tissue is not None for label in labels) > MOST_STRUCTURES:
-        raise ValueError(f"{where}: {len(labels)} labels; allowed are at most {MOST_STRUCTURES}")
-    return tuple(labels)
+    if (count := sum(label.tissue is not None for label in labels)) > MOST_STRUCTURES:
+        raise ValueError(f"{where}: {count} labels with a tissue; allowed are at most {MOST_STRUCTURES}")
+    return tuple(labels), path.with_name(table) if table else None
 
 
 def _called(label: int, names: Mapping[int, str]) -> str:

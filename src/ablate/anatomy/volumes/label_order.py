@@ -83,8 +83,8 @@ def _whole_numbers(values: np.ndarray, volume: VolumeFile, where: str) -> np.nda
 
 def as_it_is(value: Any) -> str:
     """The fewest digits that tell a number from every other of its kind: 0.9999999 is not 1."""
-    single = np.float32(value) if abs(value) < np.finfo(np.float32).max else value
-    return str(single) if value % 1 and single == value else str(value)
+    is_fraction = abs(value) < np.finfo(np.float32).max and value % 1
+    return str(np.float32(value) if is_fraction and np.float32(value) == value else value)
 
 
 def _check_counts(counts: np.ndarray, labels: LabelMap, where: str) -> None:

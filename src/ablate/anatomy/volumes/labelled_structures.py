@@ -172,8 +172,14 @@ def labelled_structures(labels: LabelMap, where: str, cache_dir: Path | None = N
         "version": [LABELS_VERSION, ANATOMY_VERSION],  # the second is that of mesh repair, too
     }
     scene = cached_scene(cache_dir, lambda: _surfaces(labels, where), **made_from)
-    tissues = dict(labels.structures)
-    return tuple(Structure(s.mesh, tissues[s.mesh.metadata["name"]]) for s in scene.structures)
+    surfaces = [structure.mesh for structure in scene.structures]
+    structures = []
+    for name, tissue in labels.structures:  # by their order, as two may have one name
+        if surfaces and surfaces[0].metadata["name"] == Path(name).name:  # else a class of the table without a voxel
+            mesh = surfaces.pop(0)
+            mesh.metadata["name"] = name
+            structures.append(Structure(mesh, tissue))
+    return tuple(structures)
 
 
 def _surfaces(labels: LabelMap, where: str) -> Scene:

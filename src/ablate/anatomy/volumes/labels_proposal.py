@@ -143,12 +143,13 @@ def _of_numbers(labelled: _Looked) -> dict[str, Any]:
     if not names:
         names, place = names_beside(path, numbers)
     table, why, maybe = "", "", ""
-    if place == "its header" and len(numbers) >= _OF_TABLE and all(class_called(names.get(n, "")) for n in numbers):
-        table, why = TABLE, f"{len(numbers)} labels are called in its header as classes of TotalSegmentator"
-    elif not names and len(numbers) >= _OF_TABLE and numbers[-1] in _NUMBERED:
-        table, why = TABLE, f"guessed: {len(numbers)} labels without names, the last is {numbers[-1]}"
-    elif not names and len(numbers) >= _OF_TABLE and numbers[-1] < _NUMBERED[0]:
-        maybe = f"if they are TotalSegmentator's of version 2, task total, write `tissues: {TABLE}`"
+    if len(numbers) >= _OF_TABLE:
+        if place == "its header" and all(class_called(names.get(n, "")) for n in numbers):
+            table, why = TABLE, f"{len(numbers)} labels are called in its header as classes of TotalSegmentator"
+        elif not names and numbers[-1] in _NUMBERED:
+            table, why = TABLE, f"guessed: {len(numbers)} labels without names, the last is {numbers[-1]}"
+        elif not names and numbers[-1] < _NUMBERED[0]:
+            maybe = f"if they are TotalSegmentator's of version 2, task total, write `tissues: {TABLE}`"
     unread = "" if names else ", ".join(_printable(table.name) for table in tables_beside(path)[:_SHOWN])
     if not names and len(numbers) == 1:
         names = {numbers[0]: stem_of(path)}

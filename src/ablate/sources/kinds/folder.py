@@ -34,6 +34,8 @@ class SceneFolder:
         scene: dict[str, Any] = {"kind": "folder", "version": ANATOMY_VERSION, "files": files}
         if checked.labels:
             scene["labels_version"] = LABELS_VERSION
+            if checked.labels.table and checked.sites and checked.sites.region:  # what the probe looks at, by its name
+                scene["table"] = digest_of_files([checked.labels.table])
         return simulated.identity_of(self.settings, scene)
 
     def check(self, label: str) -> int:  # noqa: ARG002  # any variant can be simulated
