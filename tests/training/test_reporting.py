@@ -152,9 +152,8 @@ def test_a_dying_noise_path_is_said_at_the_end(
     assert all("noise is 0.0" in line and "model.noise_start" in line for line in lines)
 
 
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
-    """What is written to a terminal."""
+def open_terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What is written to a terminal in place of the standard error; no fixture, as pytest then captures it again."""
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -168,8 +167,10 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
 
 
 def test_what_is_said_of_an_error_does_not_stand_behind_the_line_of_progress(
-    tmp_path: Path, terminal: io.StringIO
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    terminal = open_terminal(monkeypatch)
+
     def failing(*_: object) -> dict[str, float]:
         raise ValueError("a full disk")
 
@@ -181,7 +182,10 @@ def test_what_is_said_of_an_error_does_not_stand_behind_the_line_of_progress(
     assert terminal.getvalue().endswith("\n")
 
 
-def test_a_terminal_has_one_line_that_is_redrawn_with_the_time_left(tmp_path: Path, terminal: io.StringIO) -> None:
+def test_a_terminal_has_one_line_that_is_redrawn_with_the_time_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
     train(SPEC, replace(SETTINGS, steps=6, log_every=1), loader, tmp_path, title="sa2h/seed3")
     first, *redrawn, last = terminal.getvalue().split("\r")[1:]
     assert terminal.getvalue().count("\n") == 1, "of its end"
