@@ -128,10 +128,8 @@ class Report(Callback):
 
 def _warn_of_dying_noise(weight: float, settings: TrainingSettings) -> None:
     """Warn at the end of a training that has taken the noise away, if it was long enough to bring it back."""
-    could_have_grown = (
-        settings.steps * settings.learning_rate >= DYING_NOISE
-    )  # Adam's steps are no longer than its rate
-    if could_have_grown and weight < DYING_NOISE:
+    furthest = settings.steps * settings.learning_rate  # Adam's steps are no longer than its rate
+    if weight < DYING_NOISE <= furthest:
         _LOG.warning(
             "the mean weight of injected noise is %.3f after %d steps, under %s: the network hardly uses it; "
             "model.noise_start sets where it begins",
