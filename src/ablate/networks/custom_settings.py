@@ -72,8 +72,9 @@ def _kinds(parameter: Parameter, hints: Mapping[str, Any]) -> tuple[Any, ...]:
     hint = hints.get(parameter.name, Any)
     if hint is Any:
         default = parameter.default
-        if isinstance(default, bool | str | list | tuple | dict):
-            return (type(default),)
+        for kind in (bool, str, *_CONTAINERS):
+            if isinstance(default, kind):  # its own class may be another, as of a StrEnum
+                return (kind,)
         return (float,) if isinstance(default, Real) else ()  # of a default of 1, 0.5 may be meant
     kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     return tuple(kinds) if all(_is_known(kind) for kind in kinds) else ()
