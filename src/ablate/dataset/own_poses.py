@@ -99,6 +99,7 @@ def near_training(poses: np.ndarray, split: np.ndarray, probe: Probe) -> str:
         near = distances[(split == part)] < NEAR_MM
         if near.any():
             found.append(f"{int(near.sum())} of {len(near)} {part.name} frames")
-    nearest = distances[~training].min() if found else 0.0
-    where = " and ".join(found)
-    return where and f"{where} are within {NEAR_MM:g} mm of a training frame (the nearest {nearest:.2g} mm)"
+    if not found:
+        return ""
+    nearest = distances[~training].min()
+    return f"{' and '.join(found)} are within {NEAR_MM:g} mm of a training frame (the nearest {nearest:.2g} mm)"
