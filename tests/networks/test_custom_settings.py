@@ -38,6 +38,8 @@ class Named(Plain):
         super().__init__(channels)
         assert kind in list(Kind)
 
+Named.__init__.__annotations__["sides"] = [int]  # no type, as beginners write it
+
 class Open(Plain):
     def __init__(self, channels, **others):
         super().__init__(channels)

@@ -33,8 +33,8 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
         with naming(f"{key}="):
             poses, sites = _of_csv(path)
     else:
-        kinds = ValueError, OSError, EOFError, MemoryError  # the last for a shape far beyond the file's length
-        with naming(f"{where}: not readable as .npy: ", kinds), path.open("rb") as stream:
+        # of any kind: NumPy raises its own for each part of a header
+        with naming(f"{where}: not readable as .npy: ", Exception), path.open("rb") as stream:
             poses = np.load(stream, allow_pickle=False)
         if not isinstance(poses, np.ndarray):
             raise ValueError(f"{where}: is an archive (.npz), allowed is one array (.npy)")

@@ -82,7 +82,8 @@ def _kinds(parameter: Parameter, hints: Mapping[str, Any]) -> tuple[Any, ...]:
 
 def _is_known(kind: Any) -> bool:
     """Whether it can be told of a value that it is not of this kind."""
-    return kind in _PLAIN or (get_origin(kind) or kind) in (*_CONTAINERS, Literal)
+    whole = get_origin(kind) or kind  # compared by `is`, as an annotation may be anything, also a list
+    return any(whole is known for known in (*_PLAIN, *_CONTAINERS, Literal))
 
 
 def _is_of(value: object, kind: Any) -> bool:
