@@ -1,5 +1,6 @@
 """Poses of the user's own, against SciPy's rotations."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,25 @@ def test_a_file_that_is_absent_or_of_another_kind_is_named(tmp_path: Path) -> No
         read_poses(tmp_path / "p.npy")
     with pytest.raises(ValueError, match=r"allowed are \.npy and \.csv"):
         read_poses(tmp_path / "p.mat")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda content: content[:10] + content[10:].replace(b")", b" ", 1),
+        lambda content: content.replace(b"(2,", b"(9" + b"9" * 20 + b",").replace(b" " * 20, b"", 1),
+        lambda content: b"PK\x03\x04" + content,
+    ],
+)
+def test_a_damaged_npy_file_is_one_line_whatever_numpy_raises(
+    tmp_path: Path, changed: Callable[[bytes], bytes]
+) -> None:
+    np.save(tmp_path / "p.npy", poses(2))
+    content = changed((tmp_path / "p.npy").read_bytes())
+    (tmp_path / "p.npy").write_bytes(content)
+    with pytest.raises(ValueError, match=r"dataset\.poses=.*p\.npy: not readable as \.npy: .") as caught:
+        read_poses(tmp_path / "p.npy")
+    assert "\n" not in str(caught.value)
 
 
 def at(*, x: float = 0.0, roll_deg: float = 0.0, tilt_deg: float = 0.0) -> np.ndarray:

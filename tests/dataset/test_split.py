@@ -40,6 +40,12 @@ def test_too_few_sites_are_refused() -> None:
         split_frames([0, 0, 1, 1], SplitBy.site, 0.1, 0.2, 0)
 
 
+@pytest.mark.parametrize("sites", [[0, 0, 1, 1], [0, 1, 2]])
+def test_what_cannot_be_split_both_ways_is_said_of_both(sites: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"^dataset\.split=both: .* cannot be split"):
+        split_frames(sites, SplitBy.both, 0.1, 0.2, 0)
+
+
 def test_a_word_is_the_kind_of_split_that_it_names() -> None:
     sites = np.repeat(np.arange(10), 4)
     named = split_frames(sites, "site", 0.2, 0.2, 0)  # type: ignore[arg-type]

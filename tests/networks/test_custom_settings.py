@@ -9,6 +9,7 @@ from ablate.networks import GeneratorSpec, check_custom, count_generator
 
 MODULE = """
 from __future__ import annotations
+from collections import OrderedDict
 from enum import StrEnum
 from typing import Literal
 from torch import nn
@@ -27,6 +28,17 @@ class Net(nn.Sequential):
 class Plain(nn.Conv2d):
     def __init__(self, channels):
         super().__init__(channels, 1, 3, padding=1)
+
+class Kind(StrEnum):
+    wide = "wide"
+    narrow = "narrow"
+
+class Named(Plain):
+    def __init__(self, channels, kind=Kind.wide, sides=OrderedDict(low=1)):
+        super().__init__(channels)
+        assert kind in list(Kind)
+
+Named.__init__.__annotations__["sides"] = [int]  # no type, as beginners write it
 
 class Open(Plain):
     def __init__(self, channels, **others):
@@ -48,6 +60,7 @@ REFUSED = {
     "no list": ("Net", {"hidden": 3, "sizes": 3}, r"settings\.sizes=3: .* takes a list as sizes"),
     "by its default": ("Net", {"hidden": 3, "bias": 1}, r"settings\.bias=1: .* takes true or false as bias"),
     "a default that is a number": ("Net", {"hidden": 3, "rate": "fast"}, r"settings\.rate='fast': .* takes a number"),
+    "a default of a class": ("Named", {"kind": 3}, r"settings\.kind=3: own_net\.Named takes text as kind"),
     "none at all": ("Plain", {"hidden": 3}, r"settings\.hidden=3: own_net\.Plain takes its number of channels alone"),
     "fails for itself": ("Open", {"broken": 1}, r"target=.*: own_net.Open\(2, broken=1\) fails: RuntimeError: so"),
 }  # fmt: skip
@@ -89,6 +102,7 @@ def test_what_a_class_takes_is_what_it_is_made_with(settings: dict[str, object])
     expected = 2 * 8 * side**2 + 8 * settings.get("bias", True) + 8 + 1
     assert count_generator(of) == count_generator(of) == expected
     assert of.settings == settings
+    check_custom(spec("Named", {"kind": "narrow", "sides": {"high": 2}}), 32)
     check_custom(spec("Open", {"anything": {"goes": [1, "a"]}}), 32)
 
 

@@ -152,17 +152,40 @@ def test_a_dying_noise_path_is_said_at_the_end(
     assert all("noise is 0.0" in line and "model.noise_start" in line for line in lines)
 
 
-def test_a_terminal_has_one_line_that_is_redrawn_with_the_time_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def open_terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What is written to a terminal in place of the standard error; no fixture, as pytest then captures it again."""
+
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
 
-    terminal = Terminal()
-    monkeypatch.setattr("sys.stderr", terminal)
+    made = Terminal()
+    monkeypatch.setattr("sys.stderr", made)
     monkeypatch.setenv("TQDM_MININTERVAL", "0")
     monkeypatch.setattr(logging, "raiseExceptions", False)  # of handlers of other tests, whose streams are closed
+    return made
+
+
+def test_what_is_said_of_an_error_does_not_stand_behind_the_line_of_progress(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
+
+    def failing(*_: object) -> dict[str, float]:
+        raise ValueError("a full disk")
+
+    settings = replace(SETTINGS, validate_every=1)
+    with pytest.raises(ValueError, match="a full disk") as raised:  # which keeps all that the error has passed
+        train(SPEC, settings, loader, tmp_path, validation=failing)
+    assert raised.tb is not None
+    assert "steps" in terminal.getvalue()
+    assert terminal.getvalue().endswith("\n")
+
+
+def test_a_terminal_has_one_line_that_is_redrawn_with_the_time_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
     train(SPEC, replace(SETTINGS, steps=6, log_every=1), loader, tmp_path, title="sa2h/seed3")
     first, *redrawn, last = terminal.getvalue().split("\r")[1:]
     assert terminal.getvalue().count("\n") == 1, "of its end"

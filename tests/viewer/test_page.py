@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -98,6 +99,19 @@ def test_the_cine_loop_is_played_until_it_is_switched_off(client: Client, viewer
     time.sleep(0.5)
     assert viewer.page.shown is before
     assert viewer.worker.computed == computed
+    viewer.session.freeze(False)
+    settle(client, viewer)
+
+
+def test_a_cine_loop_that_is_switched_off_and_on_again_is_played_once(client: Client, viewer: Viewer) -> None:
+    client.set("Around (°)", 5.0)
+    settle(client, viewer)
+    for plays in (True, False, True, False, True):
+        client.set("Cine: play", plays)
+    time.sleep(1.5)
+    assert [thread.name for thread in threading.enumerate()].count("cine") == 1
+    client.set("Cine: play", False)
+    client.until(lambda: "cine" not in {thread.name for thread in threading.enumerate()})
     viewer.session.freeze(False)
     settle(client, viewer)
 

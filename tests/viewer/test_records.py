@@ -11,7 +11,7 @@ import trimesh
 from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.command.compose import jobs_of
 from ablate.ultrasound import TimeGain
-from ablate.viewer.records import Sweep, command_line
+from ablate.viewer.records import CineLoop, Sweep, command_line
 from ablate.viewer.scene_renderer import SceneRenderer
 from ablate.viewer.session import Quality, ViewerState
 from support.viewed_body import BODY, STATE
@@ -71,6 +71,24 @@ def test_a_sweep_keeps_the_pose_of_every_image_that_is_shown() -> None:
     sweep.add(replace(views, target=None, generated=(None, views.target)))
     (recorded,) = sweep
     np.testing.assert_array_equal(recorded[0], STATE.pose)
+
+
+def test_the_cine_loop_is_looked_back_in_while_a_frame_comes() -> None:
+    """The frames come from the thread of the worker."""
+    views = SceneRenderer(BODY, STATE.pose[None]).render(STATE, Quality.full)
+
+    class Late(float):
+        def __rsub__(self, other: float) -> float:
+            loop.add(replace(views, at_s=views.at_s + len(loop) / 10))
+            return other - float(self)
+
+    loop = CineLoop()
+    for seconds in (0.0, 1.0, 2.0):
+        loop.add(replace(views, at_s=views.at_s + seconds))
+    late = replace(loop[1], at_s=Late(loop[1].at_s))
+    loop[1] = late
+    assert loop.before(1.0) is late
+    assert len(loop) == 4
 
 
 def test_a_scene_where_nothing_scatters_is_shown() -> None:

@@ -4,7 +4,7 @@ import socket
 import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +147,15 @@ def test_a_port_in_use_is_one_sentence(server: Any) -> None:
     sentence = rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
     with pytest.raises(ConfigurationError, match=sentence):
         check_server(port)
+
+
+def test_in_place_of_the_last_port_no_port_behind_it_is_named() -> None:
+    with closing(socket.socket()) as busy:
+        busy.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        busy.bind((HOST, 65535))
+        busy.listen()
+        with pytest.raises(ConfigurationError, match=r"^viewer.port=65535: in use; give another one, such as 8090$"):
+            check_server(65535)
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

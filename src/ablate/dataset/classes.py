@@ -7,9 +7,8 @@ import numpy as np
 
 from ablate.anatomy import Scene, with_structures_as_tissues
 from ablate.dataset.pairs import Pairs
+from ablate.dataset.png_tables import MOST_LABELS
 from ablate.ultrasound import Simulator
-
-_MOST = 254  # labels are counted in 8 bits, 0 is outside the fan
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,9 @@ def by_tissue(pairs: Pairs) -> Classes:
 def by_structure(pairs: Pairs, scene: Scene) -> Classes:
     """The structures of the scene that simulated pairs were made of; a ValueError where there are too many."""
     named = with_structures_as_tissues(scene)
-    if len(named.tissues) > _MOST:
-        raise ValueError(f"dataset.classes=structures: {len(named.tissues)} structures, allowed are at most {_MOST}")
+    if len(named.tissues) > MOST_LABELS:
+        found, most = len(named.tissues) - 1, MOST_LABELS - 1  # the background is a class too
+        raise ValueError(f"dataset.classes=structures: {found} structures, allowed are at most {most}")
     if pairs.probe is None or pairs.simulator is None:
         raise ValueError(f"dataset.classes=structures: {pairs.folder} was not simulated, allowed is tissues")
     simulator = Simulator(named, pairs.probe, pairs.simulator, poses=pairs.poses)

@@ -33,8 +33,8 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
         with naming(f"{key}="):
             poses, sites = _of_csv(path)
     else:
-        kinds = ValueError, OSError, EOFError, MemoryError  # the last for a shape far beyond the file's length
-        with naming(f"{where}: not readable as .npy: ", kinds), path.open("rb") as stream:
+        # of any kind: NumPy raises its own for each part of a header
+        with naming(f"{where}: not readable as .npy: ", Exception), path.open("rb") as stream:
             poses = np.load(stream, allow_pickle=False)
         if not isinstance(poses, np.ndarray):
             raise ValueError(f"{where}: is an archive (.npz), allowed is one array (.npy)")
@@ -99,6 +99,7 @@ def near_training(poses: np.ndarray, split: np.ndarray, probe: Probe) -> str:
         near = distances[(split == part)] < NEAR_MM
         if near.any():
             found.append(f"{int(near.sum())} of {len(near)} {part.name} frames")
-    nearest = distances[~training].min() if found else 0.0
-    where = " and ".join(found)
-    return where and f"{where} are within {NEAR_MM:g} mm of a training frame (the nearest {nearest:.2g} mm)"
+    if not found:
+        return ""
+    nearest = distances[~training].min()
+    return f"{' and '.join(found)} are within {NEAR_MM:g} mm of a training frame (the nearest {nearest:.2g} mm)"

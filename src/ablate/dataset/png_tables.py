@@ -11,7 +11,7 @@ from ablate.dataset.split import Part
 from ablate.setting import naming, plain
 from ablate.ultrasound.settings import PROBE_KEYS, Probe, probe_from
 
-MOST_LABELS = 254
+MOST_LABELS = 254  # they are counted in 8 bits, and 0 is outside the fan
 #: What probes have, from those within the body and for the skin to those for a whole abdomen; no angle is in radians.
 USUAL = {
     "radius_mm": (8, 120), "width_mm": (10, 120), "aperture_mm": (5, 60), "depth_mm": (20, 400), "fov_deg": (10, 180)

@@ -28,13 +28,14 @@ from ablate.user_code import code_digest
 Timed = tuple[dict[str, np.ndarray], dict[str, float]]  # maps, and the milliseconds of each
 _Result = int | OSError | OwnSimulatorError  # frames that a process has made, or what stopped it
 _NUDGE_MM = 1e-3
+# Stages that make no map of the surfaces.
 _OF_OTHERS = (
     Stage.pixel_labels,
     Stage.attenuation_labels,
     Stage.attenuation_sum,
     Stage.grain,
     Stage.scan_conversion,
-)  # than surfaces
+)
 _WITHOUT_IMAGE = frozenset({"segmentation", "attenuation", COMPOUND}) | OF_SURFACES  # maps without an image
 
 
@@ -206,7 +207,7 @@ def timed_maps(
         What is simulated.
     probe : Probe
     settings : SimulatorSettings
-        Those of the target; the low-quality image differs in rays and layers alone.
+        Those of the target; the low-quality image has those of `of_low`.
     poses : (n, 4, 4) float, mm
         Those that may be asked for, probe to world; they decide what of the scene is needed.
     target : str, optional

@@ -7,6 +7,8 @@ from itertools import count
 
 import numpy as np
 
+from ablate.setting import naming
+
 # A prime above the number of noise draws of a frame, and of seeds that a study takes from 0 on: frames, draws and
 # scatterers never share a seed.
 _STRIDE = 1_000_003
@@ -111,9 +113,10 @@ def split_frames(
 
 def _split_by_both(sites: np.ndarray, validation: float, test: float, seed: int) -> np.ndarray:
     """Split by site for half of the test frames, and then what is left by frame."""
-    by_site = split_frames(sites, SplitBy.site, test / 2, test / 2, seed)
     part = np.full(len(sites), Part.test, np.uint8)
-    rest = np.flatnonzero(by_site != Part.test)
-    share = len(sites) / len(rest)
-    part[rest] = split_frames(sites[rest], SplitBy.frame, validation * share, test / 2 * share, seed)
+    with naming("dataset.split=both: "):
+        by_site = split_frames(sites, SplitBy.site, test / 2, test / 2, seed)
+        rest = np.flatnonzero(by_site != Part.test)
+        share = len(sites) / len(rest)
+        part[rest] = split_frames(sites[rest], SplitBy.frame, validation * share, test / 2 * share, seed)
     return part

@@ -30,12 +30,12 @@ def check_custom(spec: GeneratorSpec, side: int, labels: int = 1) -> None:
 
     A ValueError names the class and what is wrong.
     """
+    where = f"target={spec.target}"
     network = CustomNetwork(spec, labels)
     if any(isinstance(parameter, UninitializedParameter) for parameter in network.parameters()):
-        raise ValueError(f"target={spec.target}: has parameters without a size (lazy layers); give them one")
+        raise ValueError(f"{where}: has parameters without a size (lazy layers); give them one")
     if not any(parameter.requires_grad for parameter in network.parameters()):
-        raise ValueError(f"target={spec.target}: has no parameter to train")
-    where = f"target={spec.target}"
+        raise ValueError(f"{where}: has no parameter to train")
     maps = _trial_maps(spec, side, labels)
     before = dict(network.named_parameters())
     tried = f"two images of {maps.shape[2]} x {maps.shape[3]} px fail"

@@ -72,8 +72,9 @@ def _kinds(parameter: Parameter, hints: Mapping[str, Any]) -> tuple[Any, ...]:
     hint = hints.get(parameter.name, Any)
     if hint is Any:
         default = parameter.default
-        if isinstance(default, bool | str | list | tuple | dict):
-            return (type(default),)
+        for kind in (bool, str, *_CONTAINERS):
+            if isinstance(default, kind):  # its own class may be another, as of a StrEnum
+                return (kind,)
         return (float,) if isinstance(default, Real) else ()  # of a default of 1, 0.5 may be meant
     kinds = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     return tuple(kinds) if all(_is_known(kind) for kind in kinds) else ()
@@ -81,7 +82,8 @@ def _kinds(parameter: Parameter, hints: Mapping[str, Any]) -> tuple[Any, ...]:
 
 def _is_known(kind: Any) -> bool:
     """Whether it can be told of a value that it is not of this kind."""
-    return kind in _PLAIN or (get_origin(kind) or kind) in (*_CONTAINERS, Literal)
+    whole = get_origin(kind) or kind  # compared by `is`, as an annotation may be anything, also a list
+    return any(whole is known for known in (*_PLAIN, *_CONTAINERS, Literal))
 
 
 def _is_of(value: object, kind: Any) -> bool:

@@ -58,7 +58,6 @@ class UpBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
-        self.grow: JointTransposedConvolution
         self.refine: JointConvolution | None
         if spec.upsampling is Upsampling.texture:
             self.grow = JointTransposedConvolution(

@@ -139,10 +139,7 @@ class Generator(nn.Module):
         return {name: gaussian_field(seed, FIELD_NUMBERS[name], *size) for name, size in sizes.items()}
 
     def noise_magnitude(self) -> Tensor | None:
-        """Compute the mean absolute weight of the injected noise, a scalar; None if no noise is injected.
-
-        A value below 0.02 means that the network has learned to ignore its noise.
-        """
+        """Compute the mean absolute weight of the injected noise, a scalar; None if no noise is injected."""
         named = self.named_parameters()
         weights = [weight.detach().flatten() for name, weight in named if name.endswith("noise_weight")]
         return torch.cat(weights).abs().mean() if weights else None

@@ -201,8 +201,6 @@ OF_SURFACES = frozenset({"interfaces", "illumination"})
 COMPOUND = "compound"
 #: Maps of position, which follow from the probe alone and are the same in all frames.
 OF_POSITION = frozenset(_POSITION_MAPS[Position.beam])
-
-
 #: The lattice of scatterers: real and imaginary parts of both values of a row, of the pose and a seed.
 GRAIN = "grain"
 GRAIN_CHANNELS = 4
@@ -247,11 +245,11 @@ def fed_channels(spec: GeneratorSpec, labels: int = 1) -> slice:
     `concat` decides over the maps of the anatomy. The grain is fed at every resolution whatever it says, as noise that
     is injected is. `labels` is as for `map_channels`; of folded rows each channel counts twice.
     """
+    if spec.family is not Family.local:
+        return slice(0, 0)
     names = [name for name in conditions(spec) if name != "low"]
     each = rows_of_a_cell(spec)
     end = each * sum(map_channels(name, labels) for name in names)
-    if spec.family is not Family.local:
-        return slice(0, 0)
     if spec.concat is Concat.every_level:
         return slice(0, end)
     return slice(end - each * GRAIN_CHANNELS, end) if GRAIN in names else slice(0, 0)

@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,8 @@ from ablate.anatomy import Tissue, load_tissues
 from ablate.networks import Generator, GeneratorSpec, Space, conditions, read_stored, stored_generator
 from ablate.pretrained.other_settings import trained_with
 from ablate.setting import did_you_mean, plain, settings_of
-from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
+from ablate.training.checkpoint import write_weights
 from ablate.ultrasound import Beam, Frame, Probe, SimulatorSettings, scan_converter
 from ablate.ultrasound.settings import probe_from
 from ablate.user_code import UnnamedCodeError, check_named
@@ -214,7 +213,4 @@ def save(renderer: Renderer, path: Path) -> None:
         "simulator": plain(renderer.simulator),
         "made": dict(renderer.made),
     }
-    in_memory = BytesIO()
-    torch.save(content, in_memory)  # a BytesIO: to a path, a full disk is a RuntimeError
-    with written_whole(path) as partial:
-        partial.write_bytes(in_memory.getbuffer())
+    write_weights(path, content)

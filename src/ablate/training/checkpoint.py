@@ -13,8 +13,7 @@ from ablate.user_code import check_named, code_digest
 
 
 def write_weights(path: Path, content: object) -> None:
-    """Write what torch can save, whole; one process writes a file."""
-    remove_partial(path)
+    """Write what torch can save, whole."""
     in_memory = BytesIO()
     torch.save(content, in_memory)  # to a path, a full disk is a RuntimeError
     with written_whole(path) as partial:
@@ -22,8 +21,10 @@ def write_weights(path: Path, content: object) -> None:
 
 
 def write_snapshot(folder: Path, step: int, generator: Generator) -> None:
-    """Keep the weights of a generator after so many steps."""
-    write_weights(_snapshot(folder, step), generator.state_dict())
+    """Keep the weights of a generator after so many steps; only one process at a time may."""
+    path = _snapshot(folder, step)
+    remove_partial(path)
+    write_weights(path, generator.state_dict())
 
 
 def load_snapshot(folder: Path, step: int, like: Generator) -> Generator:

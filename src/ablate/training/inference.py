@@ -100,11 +100,6 @@ def open_engine(
     engine : Engine
         What computes them.
 
-    Returns
-    -------
-    callable
-        Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
-
     Raises
     ------
     RuntimeError

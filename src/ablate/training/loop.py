@@ -19,6 +19,7 @@ from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec, check_saved, read_back
 from ablate.networks.custom import CustomNetwork
 from ablate.setting import identity
+from ablate.storage import remove_partial
 from ablate.threads import torch_threads
 from ablate.training.checkpoint import load_generator, load_snapshot, read_checkpoint, write_snapshot, write_weights
 from ablate.training.inference import chosen_device, chosen_precision
@@ -122,7 +123,7 @@ def _finish(module: PairGAN, loader: Loader, report: Report, device: torch.devic
     callbacks = [
         LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
         report,
-        LastCheckpoint(run_dir, settings.checkpoint_every, interruption),
+        LastCheckpoint(run_dir, interruption),
     ]
     try:
         with torch_threads(settings.threads):
@@ -168,22 +169,22 @@ def _fit(
 
 
 class LastCheckpoint(Callback):
-    """Write `last.ckpt` every `every` steps, after the last one and when the process is asked to stop, and then stop.
+    """Write `last.ckpt` every so many steps, after the last one and when the process is asked to stop, and then stop.
 
     Weights that are not finite are never written: the last good checkpoint stays. Nor is what does not give a network
     of the user's back.
     """
 
-    def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
+    def __init__(self, folder: Path, interruption: Interruption) -> None:
         self.path = folder / LAST
-        self.every = every
         self.interruption = interruption
 
     def on_train_batch_end(self, trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Write if it is time."""
         step = module.steps_done
+        every = module.settings.checkpoint_every
         trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
-        is_due = self.every > 0 and step % self.every == 0
+        is_due = every > 0 and step % every == 0
         if step in module.settings.snapshot_steps:  # before the checkpoint, from which it would not be made again
             write_snapshot(self.path.parent, step, module.evaluated)
         if trainer.should_stop or is_due or step == module.settings.steps:
@@ -197,6 +198,7 @@ class LastCheckpoint(Callback):
         checkpoint = module.checkpoint()
         if isinstance(module.generator.network, CustomNetwork):
             _check_read(module, module.generator.network, checkpoint)
+        remove_partial(self.path)
         write_weights(self.path, checkpoint)
 
 

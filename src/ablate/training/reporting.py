@@ -51,14 +51,13 @@ class Report(Callback):
         self.sink = sink
         self.validation = validation
         self.title = title
+        self._bar: tqdm[Any] = tqdm(disable=True)
 
     def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock, and validate the untrained network, where curves begin."""
         steps, done = module.settings.steps, module.steps_done
         # With `disable=None` it is shown on a terminal alone.
-        self._bar: tqdm[Any] = tqdm(
-            None, self.title, steps, initial=done, disable=None, dynamic_ncols=True, bar_format=_LINE
-        )
+        self._bar = tqdm(None, self.title, steps, initial=done, disable=None, dynamic_ncols=True, bar_format=_LINE)
         self._since = self._began = time.perf_counter()
         self._first = done
         self._steps_timed = 0
@@ -75,6 +74,10 @@ class Report(Callback):
 
     def on_train_end(self, *_: Any) -> None:
         """Close the bar."""
+        self._bar.close()
+
+    def on_exception(self, *_: Any) -> None:
+        """Close the bar, so that what is said of the error has a line of its own."""
         self._bar.close()
 
     def _report(self, module: PairGAN) -> None:
@@ -125,10 +128,8 @@ class Report(Callback):
 
 def _warn_of_dying_noise(weight: float, settings: TrainingSettings) -> None:
     """Warn at the end of a training that has taken the noise away, if it was long enough to bring it back."""
-    could_have_grown = (
-        settings.steps * settings.learning_rate >= DYING_NOISE
-    )  # Adam's steps are no longer than its rate
-    if could_have_grown and weight < DYING_NOISE:
+    furthest = settings.steps * settings.learning_rate  # Adam's steps are no longer than its rate
+    if weight < DYING_NOISE <= furthest:
         _LOG.warning(
             "the mean weight of injected noise is %.3f after %d steps, under %s: the network hardly uses it; "
             "model.noise_start sets where it begins",

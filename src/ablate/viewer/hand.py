@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 from trimesh import unitize
+from trimesh.bounds import corners
 
 from ablate.anatomy import Scene, bounds_mm
 from ablate.dataset.sites import Skin, press, turned_pose
@@ -59,8 +60,7 @@ class Hand:
         across = np.asarray(front, float)
         self.front = unitize(across - self.axis * (across @ self.axis))
         self._side = np.cross(self.axis, self.front)
-        corners = bounds_mm(s.mesh for s in scene.structures)
-        along = np.stack(np.meshgrid(*corners.T), axis=-1).reshape(-1, 3) @ self.axis
+        along = corners(bounds_mm(s.mesh for s in scene.structures)) @ self.axis
         self.heights_mm = (float(along.min()), float(along.max()))
 
     def take(self, probe: Probe, press_mm: float) -> None:
@@ -95,17 +95,14 @@ class Hand:
     def _aim_from(self, point: np.ndarray, angle_deg: float) -> tuple[float, np.ndarray] | None:
         """The depth of a point, mm, and the pose that looks at it from one angle; None as for `aim`."""
         hold = Hold(self.site_of(point)[0], angle_deg)
-        away = np.zeros(3)
         for _ in range(_SEARCHES):
             placed = self.place(hold)
-            if placed is not None:
-                pose, _ = placed
-                away = (point - pose[:3, 3]) @ pose[:3, :3]
-                rock, tilt = np.rad2deg(np.arctan2(away[:2], away[2]))
-                hold = replace(hold, rock_deg=hold.rock_deg + float(rock), tilt_deg=hold.tilt_deg - float(tilt))
-        if placed is None:
-            return None
-        pose, words = placed
+            if placed is None:
+                return None
+            pose, words = placed
+            away = (point - pose[:3, 3]) @ pose[:3, :3]
+            rock, tilt = np.rad2deg(np.arctan2(away[:2], away[2]))
+            hold = replace(hold, rock_deg=hold.rock_deg + float(rock), tilt_deg=hold.tilt_deg - float(tilt))
         depth_mm = float(away[2])
         on_axis = np.hypot(*away[:2]) < 1 and 0 < depth_mm < self._probe.depth_mm
         turned_deg = max(abs(hold.rock_deg), abs(hold.tilt_deg))

@@ -42,7 +42,8 @@ class CineLoop(deque[Views]):
         """The frame that was shown so long before the last one; a ValueError where there is no frame."""
         if not self:
             raise ValueError("there is no frame yet")
-        return min(self, key=lambda views: abs(self[-1].at_s - seconds - views.at_s))
+        frames = list(self)  # another thread adds to them
+        return min(frames, key=lambda views: abs(frames[-1].at_s - seconds - views.at_s))
 
 
 class Sweep(list[tuple[np.ndarray, Image.Image, float]]):

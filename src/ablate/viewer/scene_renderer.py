@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
+from ablate.dataset.simulate import of_low
 from ablate.networks.spec import COMPOUND, GRAIN, OF_SURFACES, Space
 from ablate.ultrasound import (
     Display,
@@ -150,7 +151,7 @@ class SceneRenderer:
 
     def _low(self, state: ViewerState, space: Space) -> np.ndarray:
         """The image of low quality in one space, as the simulator's settings display it."""
-        simulator = self._simulator(state.probe, replace(state.simulator, rays=1, layers=1, compound_angles=1))
+        simulator = self._simulator(state.probe, of_low(state.simulator))
         make = simulator.image if space is Space.image else simulator.beam_image
         as_set = replace(state, display=None)
         low, _ = self._once("low", (*_place(state), state.seed, space), lambda: _quietly(make, as_set))

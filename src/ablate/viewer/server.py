@@ -24,10 +24,11 @@ from io import StringIO
 from typing import Any
 
 from ablate.extras import installing
-from ablate.settings.study import ConfigurationError
+from ablate.settings.study import ConfigurationError, ViewerSettings
 
 HOST = "127.0.0.1"
 _POLICY_VIOLATION = 1008  # RFC 6455, 7.4.1
+_FREE_TO_USE = range(1024, 65535)  # those below are the administrator's, and behind the last one there is none
 
 
 def check_server(port: int) -> None:
@@ -40,7 +41,8 @@ def check_server(port: int) -> None:
             trial.bind((HOST, port))
         except OSError as error:
             why = "not allowed" if isinstance(error, PermissionError) else "in use"
-            raise ConfigurationError(f"viewer.port={port}: {why}; give another one, such as {port + 1}") from error
+            other = port + 1 if port in _FREE_TO_USE else ViewerSettings.port
+            raise ConfigurationError(f"viewer.port={port}: {why}; give another one, such as {other}") from error
 
 
 def open_server(port: int) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ablate.command.compose import job_of
 from ablate.settings.conf import conf_folder
-from ablate.ultrasound import Display, PhasedProbe, Probe, SimulatorSettings
+from ablate.ultrasound import Display, PhasedProbe
 from ablate.viewer.page.page import Bounds, Page
 from ablate.viewer.session import MOST_TURNED_DEG, Moving, Quality, Views
 from ablate.viewer.words import DIM, line
@@ -157,26 +157,17 @@ def add_scan_tab(page: Page) -> None:
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
-    def probe() -> Probe:
-        return session.state.probe
-
-    def simulator() -> SimulatorSettings:
-        return session.state.simulator
-
     def dynamic_range_db() -> float:
-        return display().dynamic_range_db or simulator().dynamic_range_db
-
-    def set_dynamic_range(db: float) -> None:
-        show(dynamic_range_db=db)
+        return display().dynamic_range_db or session.state.simulator.dynamic_range_db
 
     _add_probes(page)
-    _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", probe, session.scan)
-    _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", probe, session.scan)
-    _add_slider(page, "Rays", (1, 64, 1), "rays", simulator, session.simulate)
-    if not isinstance(probe(), PhasedProbe):
+    _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", lambda: session.state.probe, session.scan)
+    _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", lambda: session.state.probe, session.scan)
+    _add_slider(page, "Rays", (1, 64, 1), "rays", lambda: session.state.simulator, session.simulate)
+    if not isinstance(session.state.probe, PhasedProbe):
         _add_compounding(page)
     _add_slider(page, "Gain (dB)", (-30.0, 30.0, 1.0), "gain_db", display, show)
-    page.add_slider("Dynamic range (dB)", (20.0, 100.0, 5.0), dynamic_range_db, set_dynamic_range)
+    page.add_slider("Dynamic range (dB)", (20.0, 100.0, 5.0), dynamic_range_db, lambda db: show(dynamic_range_db=db))
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"

@@ -183,8 +183,8 @@ class Page:
         """
         looks_back = self.session.frozen and bool(self.loop) and self.shown is not self.loop[-1]
         self.loop.add(views)
-        if self.sweep is not None:
-            self.sweep.add(views)
+        if (sweep := self.sweep) is not None:  # it is switched off by another thread
+            sweep.add(views)
         if looks_back:
             return
         self.shown = views

@@ -137,10 +137,14 @@ def _add_cine(page: Page) -> None:
         page.shown = page.loop.before(seconds)
         page.paint(page.shown)
 
+    newest: threading.Thread | None = None  # an older one may still sleep between two frames
+
     def start(plays: bool) -> None:
+        nonlocal newest
         if plays:
             look_back(LOOP_S)
-            threading.Thread(target=run, name="cine", daemon=True).start()
+            newest = threading.Thread(target=run, name="cine", daemon=True)
+            newest.start()
 
     def run() -> None:
         """Show the loop until it is switched off, or the picture follows the probe again, or nobody looks."""
@@ -149,6 +153,8 @@ def _add_cine(page: Page) -> None:
             frames = list(page.loop)
             for frame, after in zip(frames, [*frames[1:], None], strict=True):
                 with page.lock:
+                    if newest is not threading.current_thread():
+                        return
                     if not (play.value and session.frozen and page.server.get_clients()):
                         play.value = False
                         return
