@@ -80,15 +80,15 @@ def walk(
     ranges_mm : (n, samples) float32
         How far along its line the point lies that a sample displays; (n, 0) where nothing is stretched.
     """
-    n, owners, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
-    samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
+    n, owners_count, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
+    samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners_count, np.uint8))
     stretched = samples.stretch_of_owner.size > 0
     given = starts - back[:, None] * directions, directions, back + ahead
     lines = *(values.astype(np.float32, order="C") for values in given), back
     values = np.empty((n, samples.count), np.uint8)
     ranges_mm = np.empty((n, samples.count if stretched else 0), np.float32)
     inside = np.zeros((n, max(1, -(-geometry.structures // 32))), np.uint32)
-    samples = samples if stretched else samples._replace(stretch_of_owner=np.ones(owners, np.float32))
+    samples = samples if stretched else samples._replace(stretch_of_owner=np.ones(owners_count, np.float32))
     follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, samples, (inside, values, ranges_mm))
     in_parts(follow, n, _ROWS_OF_A_PART)
     return inside, values, ranges_mm
