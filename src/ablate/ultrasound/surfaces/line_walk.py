@@ -50,7 +50,7 @@ class Samples(NamedTuple):
 
     first_mm: float
     spacing_mm: float
-    count: int
+    number: int
     value_of_owner: np.ndarray  # (structures + 1,) uint8
     stretch_of_owner: np.ndarray = np.empty(0, np.float32)  # (structures + 1,) or (0,): displayed over geometric length
 
@@ -85,8 +85,8 @@ def walk(
     stretched = samples.stretch_of_owner.size > 0
     given = starts - back[:, None] * directions, directions, back + ahead
     lines = *(values.astype(np.float32, order="C") for values in given), back
-    values = np.empty((n, samples.count), np.uint8)
-    ranges_mm = np.empty((n, samples.count if stretched else 0), np.float32)
+    values = np.empty((n, samples.number), np.uint8)
+    ranges_mm = np.empty((n, samples.number if stretched else 0), np.float32)
     inside = np.zeros((n, max(1, -(-geometry.structures // 32))), np.uint32)
     samples = samples if stretched else samples._replace(stretch_of_owner=np.ones(owners_count, np.float32))
     follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, samples, (inside, values, ranges_mm))

@@ -170,7 +170,7 @@ def scanline_labels(
     if stretched:
         samples = samples._replace(stretch_of_owner=plan.media.stretch[plan.tissue_of_owner])
     labels, ranges = sample_lines(geometry, *lines, samples)
-    return labels, ranges if stretched else sample_depths_mm(probe, samples.count).astype(np.float32)
+    return labels, ranges if stretched else sample_depths_mm(probe, samples.number).astype(np.float32)
 
 
 def contact_warning(labels: np.ndarray, tissues: Sequence[Tissue], probe: Probe) -> str | None:
