@@ -213,6 +213,24 @@ def test_without_a_trained_run_the_simulator_is_measured_alone_also_after_an_int
     assert not (tmp_path / "data" / "fetal").exists(), "no pair is simulated for it"
 
 
+def test_shipped_networks_are_named_and_so_is_what_they_lack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A default frame is such as they were trained on: without a run of one's own they are measured all the same."""
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    shipped = generated.Candidate("shipped sa2h", ("width 0.25",), "sa2h", lambda _: pytest.fail("is not yet run"))
+    monkeypatch.setattr(module, "shipped_candidates", lambda _: [shipped])
+    monkeypatch.setattr(module, "measure_simulator", stopped)
+    with pytest.raises(SystemExit):
+        run(f"runs_dir={tmp_path}", "evaluation.timed_frames=1")
+    printed = capsys.readouterr().out
+    assert f"no trained run in {tmp_path}; shipped sa2h." in printed
+    assert "left out, engine exported: needs what a test has not." in printed
+
+
 def test_what_has_no_scene_to_measure_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigurationError, match="task=precision: pairs made elsewhere have no scene"):
         run(f"runs_dir={tmp_path}", "scene=pairs", f"scene.folder={tmp_path}")

@@ -6,8 +6,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
-from ablate.anatomy import Scene, Tissue
+from ablate.anatomy import Scene, Structure, Tissue
 from ablate.dataset.simulate import nudged
 from ablate.ultrasound import PlanMode, Simulator
 from ablate.ultrasound.stages import Stage, observe_stages, stage_times
@@ -156,6 +157,14 @@ def test_no_operation_of_a_frame_is_given_to_a_team_of_threads(scene, probe, sma
     finally:
         torch.set_num_threads(1)
     assert threads == {1}
+
+
+def test_a_gpu_that_is_not_there_is_refused_before_the_scene_is_looked_at(small, tissue, monkeypatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    hole = trimesh.creation.box((50, 50, 50))
+    hole.faces = hole.faces[1:]
+    with pytest.raises(ValueError, match="device=cuda: this machine has no usable GPU, allowed are cpu and auto"):
+        Simulator(Scene((Structure(hole, tissue),), tissue, "s"), None, replace(small, device="cuda"))
 
 
 @pytest.mark.gpu

@@ -18,12 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from ablate.extras import installing
 from ablate.ultrasound import ConvexProbe, Echoes, Iq
+from ablate.ultrasound.media import DISPLAY_SPEED_M_S
 from ablate.ultrasound.probe import sample_depths_mm, scanline_positions
 
 _SCATTERERS_AT_A_TIME = 2000  # fastest: PyMUST's arrays then stay in the processor's cache
 _LINES_AT_A_TIME = 16
 _THRESHOLD_DB = -60.0  # weaker parts of the pulse's spectrum are left out; PyMUST's own choice for pressure fields
-_SPEED_M_S = 1540.0
 _WAVES = 5
 _BELOW_BLACK_DB = 20.0  # points that are darker are left out
 _UNIT_SEED, _UNIT_SCATTERERS = 0, 8000  # of the phantom that the level is measured with
@@ -56,7 +56,6 @@ class Array:
     frequency_mhz: float = 3.0
     bandwidth_percent: float = 60.0
     cycles: float = 1.5
-    speed_m_s: float = _SPEED_M_S
     transmissions: int = 15
     source_extent_mm: float = 16.0
     f_number: float = 1.0
@@ -67,7 +66,7 @@ class Array:
         param = _pymust().utils.Param()
         param.fc = self.frequency_mhz * 1e6
         param.fs = 4 * param.fc
-        param.c = self.speed_m_s
+        param.c = DISPLAY_SPEED_M_S
         param.radius = self.radius_mm * 1e-3
         param.Nelements = self.elements
         param.pitch = 2 * param.radius * np.sin(np.radians(self.fov_deg) / self.elements / 2)
@@ -79,7 +78,7 @@ class Array:
 
     @property
     def wavelength_mm(self) -> float:
-        return self.speed_m_s / self.frequency_mhz / 1e3
+        return DISPLAY_SPEED_M_S / self.frequency_mhz / 1e3
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,8 @@ def diverging_waves(echoes: Echoes) -> Iq:
     probe, settings = echoes.probe, echoes.settings
     if not isinstance(probe, ConvexProbe):
         raise ValueError(f"probe.kind={probe.kind}: allowed is convex")
-    face_mm, wavelength_mm = math.radians(probe.fov_deg) * probe.radius_mm, _SPEED_M_S / probe.frequency_mhz / 1e3
+    face_mm = math.radians(probe.fov_deg) * probe.radius_mm
+    wavelength_mm = DISPLAY_SPEED_M_S / probe.frequency_mhz / 1e3
     array = Array(
         radius_mm=probe.radius_mm,
         fov_deg=probe.fov_deg,

@@ -56,7 +56,8 @@ def with_patient_gain(
     if not count.any():
         _LOG.warning("tgc=patient: no tissue that scatters is seen from these poses; the gain is that of tgc=fixed")
         return replace(settings, tgc=TimeGain.fixed)
-    known, middle = np.flatnonzero(count), (np.arange(_BINS) + 0.5) / _BINS * (SLIDERS - 1)
+    known = np.flatnonzero(count)
+    middle = (np.arange(_BINS) + 0.5) / _BINS * (SLIDERS - 1)  # of the bins, in sliders
     by_bin = np.moveaxis(lost_db.reshape(len(seen), _BINS, -1), 1, 0).reshape(_BINS, -1)
     medians = np.interp(middle, middle[known], [np.nanmedian(by_bin[i]) for i in known])
     rising = isotonic_regression(medians, weights=np.maximum(count, 1)).x

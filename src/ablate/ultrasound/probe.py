@@ -209,16 +209,16 @@ def face_arc(probe: Probe, count: int) -> np.ndarray:
     return fan_lines(probe, count)[0]
 
 
-def face_points(probe: Probe, along: int = 29, across: int = 3) -> np.ndarray:
-    """Points all over the face, (along * across, 3) float64, mm."""
-    arc = face_arc(probe, along)
-    offsets = np.linspace(-FACE_HALF_WIDTH_MM, FACE_HALF_WIDTH_MM, across)
+def face_points(probe: Probe) -> np.ndarray:
+    """Points all over the face, (n, 3) float64, mm: along it 29, across it its edges and its middle."""
+    arc = face_arc(probe, 29)
+    offsets = (-FACE_HALF_WIDTH_MM, 0.0, FACE_HALF_WIDTH_MM)
     return np.concatenate([arc + np.array([0.0, offset, 0.0]) for offset in offsets])
 
 
-def fan_outline(probe: Probe, points: int = 41) -> np.ndarray:
-    """The fan's closed border in the image plane, (2 points + 1, 3) float64, mm."""
-    starts, directions = fan_lines(probe, points)
+def fan_outline(probe: Probe) -> np.ndarray:
+    """The fan's closed border in the image plane, (n, 3) float64, mm."""
+    starts, directions = fan_lines(probe, 41)
     deepest = starts + probe.depth_mm * directions
     return np.concatenate([starts, deepest[::-1], starts[:1]])
 

@@ -86,17 +86,20 @@ class Simulator:
     ) -> None:
         self.scene = scene
         self.probe = probe = probe or ConvexProbe()
+        settings = settings or SimulatorSettings()
+        settings.check_probe(probe)
+        has_gpu = torch.cuda.is_available()
+        if settings.device == "cuda" and not has_gpu:
+            raise ValueError("device=cuda: this machine has no usable GPU, allowed are cpu and auto")
+        if settings.device == "auto":
+            settings = replace(settings, device="cuda" if has_gpu else "cpu")
+        if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
+            raise ValueError("tgc=patient: a curve is needed, which with_patient_gain computes from poses")
+        self.settings = settings
         if beside is None:
             check_scene(scene, probe.depth_mm)
         elif beside.scene is not scene:
             raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
-        settings = settings or SimulatorSettings()
-        settings.check_probe(probe)
-        if settings.device == "auto":
-            settings = replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
-        if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
-            raise ValueError("tgc=patient: a curve is needed, which with_patient_gain computes from poses")
-        self.settings = settings
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)
@@ -291,7 +294,6 @@ class Simulator:
         echoes = tracer(bundle, nodes)
         level_db = lines.mean_level_db(nodes.amplitude, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
-        places = self._weights, settings.rays, probe.depth_mm
-        surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
+        surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, self._weights, settings.rays, probe.depth_mm)
         clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._pulse)
         return self._chain.returned(number, level_db, surfaces, clutter), labels, ranges

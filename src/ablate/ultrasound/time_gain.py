@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ablate.ultrasound.probe import fan_mask, pixel_polar
+from ablate.ultrasound.probe import fan_mask, pixel_polar, sample_depths_mm
 from ablate.ultrasound.settings import LimitedGain, Probe
 
 Gain = float | Sequence[float] | np.ndarray | LimitedGain  # as `SimulatorSettings.time_gain`
@@ -57,8 +57,7 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: Gain) ->
 
 def compensated_beam(attenuation: np.ndarray, probe: Probe, tgc: Gain) -> np.ndarray:
     """`compensated_attenuation` of A in beam space, (..., rows, scanlines) float32 in [0, 1]."""
-    rows = attenuation.shape[-2]
-    gain_db = time_gain_db((np.arange(rows) + 0.5) * (probe.depth_mm / rows), probe, tgc)
+    gain_db = time_gain_db(sample_depths_mm(probe, attenuation.shape[-2]), probe, tgc)
     return _compensated(attenuation, gain_db[:, None].astype(np.float32))
 
 

@@ -33,6 +33,7 @@ from ablate.training import (
     open_engine,
 )
 from ablate.ultrasound import scan_converter
+from ablate.ultrasound.formula import Formula
 
 SHIPPED = "shipped"  # begins the series of a network that comes with the package
 NETWORK = "network"  # what the time of a frame is beside that of its maps
@@ -72,25 +73,26 @@ class Candidate:
 Planned = list[tuple[Candidate, Execution]]
 
 
-def comparable_runs(job: Job) -> tuple[list[Training], str]:
-    """List the finished runs of all studies in `runs_dir` that can be compared, and say how many are left out.
+def comparable_runs(job: Job, shipped: Sequence[Candidate] = ()) -> tuple[list[Training], str]:
+    """List the finished runs of all studies in `runs_dir` that can be compared, and say in words what is measured.
 
     A run that was trained on other data has seen some of these test frames, or frames of another kind. A run without a
-    checkpoint cannot be executed.
+    checkpoint cannot be executed. Both are counted; the `shipped` networks are named.
     """
     results = job.settings.results
     studies = sorted(path for path in results.glob("*") if path.is_dir())
     runs = [training for study in studies for training in trainings_in(study) if training.is_trained]
-    if not runs:
+    if not runs and not shipped:
         return [], f"no trained run in {results}: the simulator alone"
     same = [run for run in runs if run.identity["data"] == job.identity["data"]]
     fit = [run for run in same if run.checkpoint.exists()]
     others = len(runs) - len(same)
     bare = len(same) - len(fit)
     counts = [
-        f"{len(fit)} trained run{'' if len(fit) == 1 else 's'}",
+        f"{len(fit)} trained run{'' if len(fit) == 1 else 's'}" if runs else f"no trained run in {results}",
         f"{others} left out, they learned from other data" if others else "",
         f"{bare} left out, without a checkpoint" if bare else "",
+        *(candidate.series for candidate in shipped),
     ]
     return fit, "; ".join(filter(None, counts))
 
@@ -223,8 +225,6 @@ def measure_generators(bench: Bench, planned: Planned, settings: StudySettings, 
 
 def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Measured:
     """Measure the formula of the maps that a network of `spec` reads, as a network is measured."""
-    from ablate.ultrasound.formula import Formula
-
     names = formula_maps(spec)
     maps, inputs_ms = make_inputs(with_other_scatterers(bench), names, Space.beam)
     formula = Formula(bench.scene.tissues, bench.probe, bench.simulator)

@@ -45,31 +45,32 @@ def precision(jobs: Sequence[Job]) -> int:
     """Error against run time of the simulator and of the trained runs on disk, for the first job's data set."""
     settings = jobs[0].settings
     try:
-        runs, counts = comparable_runs(jobs[0])
         bench = bench_of(jobs[0])
+        shipped = shipped_candidates(bench)
+        runs, counts = comparable_runs(jobs[0], shipped)
     except (ValueError, FileNotFoundError) as error:  # a mesh with a hole, no usable pose, ...
         raise ConfigurationError(str(error)) from error
-    about = _about(settings, bench, counts, executions(settings)[1] if runs else ())
+    planned = schedule_of(runs, settings, shipped)
+    about = _about(settings, bench, counts, executions(settings)[1] if planned else ())
     print("\n".join(about), flush=True)
     folder = settings.results / "precision"
     try:
         with published_task(settings, folder) as view:
             reference, simulated = measure_simulator(bench)
-            planned = schedule_of(runs, settings, shipped_candidates(bench))
             parts = [
                 simulated,
                 measure_formula(bench, settings.model, reference),
                 measure_generators(bench, planned, settings, reference),
             ]
-            tables = {
+            measured = {
                 "precision": pd.DataFrame([row for part in parts for row in part.points], columns=POINTS),
                 "details": pd.DataFrame([row for part in parts for row in part.details], columns=DETAILS),
                 "frames": pd.DataFrame([row for part in parts for row in part.of_frames], columns=OF_FRAMES),
             }
-            tables = {name: table.astype({"setting": str}) for name, table in tables.items()}
-            worse = worse_than(tables["frames"], OTHER_SERIES, f"rays {bench.simulator.rays}").drop(columns="worse")
-            tables["precision"] = tables["precision"].merge(worse, "left", ["series", "setting", "metric"])
-            for path in _report(folder, bench, about, tables, view):
+            measured = {name: table.astype({"setting": str}) for name, table in measured.items()}
+            worse = worse_than(measured["frames"], OTHER_SERIES, f"rays {bench.simulator.rays}").drop(columns="worse")
+            measured["precision"] = measured["precision"].merge(worse, "left", ["series", "setting", "metric"])
+            for path in _report(folder, bench, about, measured, view):
                 print(path)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command measures everything again")

@@ -243,7 +243,7 @@ class SignalChain:
         )
         picture = np.empty(settings.beam_shape, np.uint8)
 
-        def shown(begin: int, end: int) -> None:
+        def show_lines(begin: int, end: int) -> None:
             some = slice(begin, end)
             for number, (signal, shift) in enumerate(zip(signals, shifts, strict=True)):
                 _received((*signal, noise), shift, gain[number], floor, (envelope_of_one, power_of_one), begin, end)
@@ -252,10 +252,10 @@ class SignalChain:
                     grey[some] += self._shares[number][some] * np.sqrt(power_of_one[some])
             if len(signals) > 1:
                 np.square(grey[some], out=grey[some])
-            grey_levels(grey[begin:end], settings.dynamic_range_db)
-            picture[:, begin:end] = np.rint(means_of_rows(grey[begin:end], settings))
+            grey_levels(grey[some], settings.dynamic_range_db)
+            picture[:, some] = np.rint(means_of_rows(grey[some], settings))
 
-        stage(Stage.grey_levels)(in_parts)(shown, len(grey), LINES_OF_A_PART)
+        stage(Stage.grey_levels)(in_parts)(show_lines, len(grey), LINES_OF_A_PART)
         return picture, envelope
 
     def _signal(self, prepared: Prepared | None, number: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -58,8 +58,8 @@ class Speckle:
         node_db = level_db.reshape(*shape[:2], nodes) + self._own_db(starts, directions, nodes)
         ranges = np.broadcast_to(ranges_mm.astype(np.float32), labels.shape)
         textured = any((labels[:, :: self._stride] == tissue).any() for tissue in np.flatnonzero(self._textures[:, 3]))
-        places = max(nodes, shape[2] // self._stride) if textured else nodes
-        coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
+        count = max(nodes, shape[2] // self._stride) if textured else nodes
+        coarse = np.rint(np.linspace(0, shape[2] - 1, count)).astype(int)[: shape[2]]
         amplitude = np.empty(labels.shape, self.dtype)
         line_geometry = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
         textures = self._textures, texture.texture_volume(), texture.texture_start(seed), coarse

@@ -77,9 +77,7 @@ def _loaded() -> ctypes.CDLL:
             function.restype, function.argtypes = result, arguments
     except AttributeError as missing:
         raise ImportError(f"embreex brings a library without {name}: allowed is embreex>=4,<5") from missing
-    device = library.rtcNewDevice(None)
-    major = library.rtcGetDeviceProperty(device, _VERSION_MAJOR)
-    library.rtcReleaseDevice(device)
+    major = _property_of(library, _VERSION_MAJOR)
     if major != MAJOR_VERSION:
         raise ImportError(f"embreex brings Embree {major}: allowed is embreex>=4,<5")
     for name in ("rtcIntersect1", "rtcIntersect16"):
@@ -87,21 +85,20 @@ def _loaded() -> ctypes.CDLL:
     return library
 
 
+def _property_of(library: ctypes.CDLL, number: int) -> int:
+    """A property of Embree on this processor."""
+    device = library.rtcNewDevice(None)
+    value = int(library.rtcGetDeviceProperty(device, number))
+    library.rtcReleaseDevice(device)
+    return value
+
+
 #: Embree's own functions.
 library = _loaded()
 _intersect_one: Any = ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
 _intersect_packet: Any = ExternalFunction("rtcIntersect16", types.void(types.intp, types.intp, types.intp, types.intp))
-
-
-def _has_packets() -> bool:
-    device = library.rtcNewDevice(None)
-    native = library.rtcGetDeviceProperty(device, _NATIVE_PACKET)
-    library.rtcReleaseDevice(device)
-    return bool(native)
-
-
 #: Whether the processor has vectors of 16 numbers; with shorter ones a packet takes longer than its rays.
-HAS_PACKETS = _has_packets()
+HAS_PACKETS = bool(_property_of(library, _NATIVE_PACKET))
 
 
 Asked = tuple[np.ndarray, np.ndarray, int]  # see `asked_ray`

@@ -6,7 +6,6 @@ i // 32 for structure i; an owner is i + 1, and 0 is the background.
 """
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -32,14 +31,9 @@ def owner(inside: np.ndarray, row: int) -> int:
     """1 + the last structure of one of the sets, (n, words) uint32; 0 where it is empty."""
     for word in range(inside.shape[1] - 1, -1, -1):
         if inside[row, word]:
-            return 32 * word + highest(inside[row, word])
+            highest_bit = math.frexp(float(inside[row, word]))[1]  # exact: 32 bits fit a double's fraction
+            return 32 * word + highest_bit
     return 0
-
-
-@compiled
-def highest(bits: np.uint32) -> int:
-    """1 + the number of the highest bit that is set, of a word that is not 0."""
-    return math.frexp(float(bits))[1]  # exact: 32 bits fit a double's fraction
 
 
 @compiled
@@ -51,34 +45,14 @@ def owners(inside: np.ndarray) -> np.ndarray:
     return owned_by
 
 
-@compiled
-def next_step(step_mm: float, away: bool, least_mm: float) -> float:
-    """How far to go beyond a surface just met, mm.
-
-    Twice as far each time that the ray has not got away, from the same triangle or from one as near: a ray that runs
-    along a surface would take it in steps of a tenth of a micrometre.
-    """
-    return least_mm if away else max(2 * step_mm, least_mm)
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Where the samples of a line lie, in displayed lengths, and what each holds."""
+class Samples(NamedTuple):
+    """Where the samples of a line lie, in displayed lengths, and what each holds; compiled code takes it."""
 
     first_mm: float
     spacing_mm: float
-    count: int
+    number: int
     value_of_owner: np.ndarray  # (structures + 1,) uint8
-    stretch_of_owner: np.ndarray | None = None  # (structures + 1,) float32, displayed over geometric length
-
-
-class Places(NamedTuple):
-    """`Samples` as compiled code takes them, without their count."""
-
-    first_mm: float
-    spacing_mm: float
-    value_of_owner: np.ndarray
-    stretch_of_owner: np.ndarray
+    stretch_of_owner: np.ndarray = np.empty(0, np.float32)  # (structures + 1,) or (0,): displayed over geometric length
 
 
 def walk(
@@ -106,23 +80,23 @@ def walk(
     ranges_mm : (n, samples) float32
         How far along its line the point lies that a sample displays; (n, 0) where nothing is stretched.
     """
-    n, owners, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
-    samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
-    stretch = np.ones(owners, np.float32) if samples.stretch_of_owner is None else samples.stretch_of_owner
-    places = Places(samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch)
+    n, owners_count, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
+    samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners_count, np.uint8))
+    stretched = samples.stretch_of_owner.size > 0
     given = starts - back[:, None] * directions, directions, back + ahead
     lines = *(values.astype(np.float32, order="C") for values in given), back
-    values = np.empty((n, samples.count), np.uint8)
-    ranges_mm = np.empty((n, 0 if samples.stretch_of_owner is None else samples.count), np.float32)
+    values = np.empty((n, samples.number), np.uint8)
+    ranges_mm = np.empty((n, samples.number if stretched else 0), np.float32)
     inside = np.zeros((n, max(1, -(-geometry.structures // 32))), np.uint32)
-    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, (inside, values, ranges_mm))
+    samples = samples if stretched else samples._replace(stretch_of_owner=np.ones(owners_count, np.float32))
+    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, samples, (inside, values, ranges_mm))
     in_parts(follow, n, _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
 
 @compiled
 def _follow(
-    address: int, keep: int, least_step_mm: float, lines: Arrays, places: Places, rows: Arrays, begin: int, end: int
+    address: int, keep: int, least_step_mm: float, lines: Arrays, samples: Samples, rows: Arrays, begin: int, end: int
 ) -> None:
     """Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
 
@@ -140,26 +114,28 @@ def _follow(
             if again(distances, structures, number, least_step_mm):
                 continue
             distance_mm = distances[number] - before_mm[row]
-            reached_mm = max(distance_mm - max(last_mm, 0.0), 0.0) * places.stretch_of_owner[owner(inside, row)]
+            reached_mm = max(distance_mm - max(last_mm, 0.0), 0.0) * samples.stretch_of_owner[owner(inside, row)]
             reached_mm += displayed_mm
-            ahead = math.ceil((reached_mm - places.first_mm) / places.spacing_mm)
+            ahead = math.ceil((reached_mm - samples.first_mm) / samples.spacing_mm)
             ahead = min(max(ahead, 0), values.shape[1])
-            _fill(rows, row, filled, ahead, places, last_mm, displayed_mm)
+            _fill(rows, row, filled, ahead, samples, last_mm, displayed_mm)
             toggle(inside, row, structures[number])
             last_mm, displayed_mm, filled = distance_mm, reached_mm, max(filled, ahead)
-        _fill(rows, row, filled, values.shape[1], places, last_mm, displayed_mm)
+        _fill(rows, row, filled, values.shape[1], samples, last_mm, displayed_mm)
 
 
 @compiled
-def _fill(rows: Arrays, row: int, begin: int, end: int, places: Places, surface_mm: float, displayed_mm: float) -> None:
+def _fill(
+    rows: Arrays, row: int, begin: int, end: int, samples: Samples, surface_mm: float, displayed_mm: float
+) -> None:
     """Fill some samples of a line with what it is inside of, behind a surface at two distances from its start."""
     inside, values, ranges_mm = rows
     here = owner(inside, row)
-    values[row, begin:end] = places.value_of_owner[here]
+    values[row, begin:end] = samples.value_of_owner[here]
     if ranges_mm.shape[1] > 0:
         for k in range(begin, end):
-            beyond_mm = places.first_mm + k * places.spacing_mm - displayed_mm
-            ranges_mm[row, k] = max(surface_mm, 0.0) + beyond_mm / places.stretch_of_owner[here]
+            beyond_mm = samples.first_mm + k * samples.spacing_mm - displayed_mm
+            ranges_mm[row, k] = max(surface_mm, 0.0) + beyond_mm / samples.stretch_of_owner[here]
 
 
 @compiled

@@ -166,10 +166,11 @@ def scanline_labels(
     """
     spacing = probe.depth_mm / settings.axial_samples
     stretched = settings.depth_mode is DepthMode.time_of_flight
-    stretch = plan.media.stretch[plan.tissue_of_owner] if stretched else None
-    samples = Samples(spacing / 2, spacing, settings.axial_samples, plan.tissue_of_owner, stretch)
+    samples = Samples(spacing / 2, spacing, settings.axial_samples, plan.tissue_of_owner)
+    if stretched:
+        samples = samples._replace(stretch_of_owner=plan.media.stretch[plan.tissue_of_owner])
     labels, ranges = sample_lines(geometry, *lines, samples)
-    return labels, ranges if stretched else sample_depths_mm(probe, samples.count).astype(np.float32)
+    return labels, ranges if stretched else sample_depths_mm(probe, samples.number).astype(np.float32)
 
 
 def contact_warning(labels: np.ndarray, tissues: Sequence[Tissue], probe: Probe) -> str | None:

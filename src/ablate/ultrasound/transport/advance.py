@@ -271,10 +271,15 @@ def _turn_back(ray: Ray, medium: Medium, thickness_mm: float) -> None:
 def _send_off(
     ray: Ray, point: Vector, direction: Vector, weight: float, step_mm: float, stretch: float, view: View
 ) -> None:
-    """Let a ray leave a surface; one that was reflected ends where it leaves the cylinder about its scanline."""
-    leaves_mm = math.inf
+    """Let a ray leave a surface until it is deeper than the image; one that was reflected goes down and up again.
+
+    That one ends where it leaves the cylinder about its scanline, too.
+    """
+    ways, leaves_mm = 1.0, math.inf
     if ray.reflections > 0:
         group = ray.number // view.rays
-        leaves_mm = bounce.leaves(point, direction, at(view.elements, group), at(view.axes, group))
-    start = along(point, direction, step_mm)
-    bounce.spawn(ray, start, direction, weight, view.depth_mm, stretch, leaves_mm)
+        ways, leaves_mm = 2.0, bounce.leaves(point, direction, at(view.elements, group), at(view.axes, group))
+    ray.origin[0], ray.origin[1], ray.origin[2] = along(point, direction, step_mm)
+    ray.direction[0], ray.direction[1], ray.direction[2] = direction
+    ray.weight = weight
+    ray.reach_mm = min((ways * view.depth_mm - ray.displayed_mm) / stretch, leaves_mm)

@@ -1,4 +1,4 @@
-"""The rest of one bounce, for one ray that a surface scatters: echo, roulette, spawn.
+"""The rest of one bounce, for one ray that a surface scatters: echo, roulette, and where it ends.
 
 Vectors are tuples of three; directions and normals are of unit length, and normals point against the ray. Compiled
 functions that branch take numbers, not arrays: Numba counts references to every array that a function with branches
@@ -113,23 +113,6 @@ def aside(point: Vector, start: Vector, direction: Vector) -> float:
 
 
 @compiled
-def strays(origin: Vector, direction: Vector, length_mm: float, start: Vector, straight: Vector) -> bool:
-    """Whether a ray is `IN_BEAM_MM` off its straight way somewhere on this length: it is farthest at an end.
-
-    Parameters
-    ----------
-    origin, direction : tuple of three float
-        Of the ray: mm, and a unit vector.
-    length_mm : float
-        How far it goes.
-    start, straight : tuple of three float
-        Of its straight way: mm, and a unit vector.
-    """
-    off_mm2 = aside(origin, start, straight), aside(along(origin, direction, length_mm), start, straight)
-    return max(off_mm2[0], off_mm2[1]) > IN_BEAM_MM**2
-
-
-@compiled
 def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float) -> float:
     """Amplitude that the element receives: weight |R_p| cos^n, less the loss of both ways.
 
@@ -231,30 +214,3 @@ def leaves(point: Vector, direction: Vector, element: Vector, axis: Vector) -> f
     outside, ahead = along(from_element, axis, -dot(from_element, axis)), along(direction, axis, -dot(direction, axis))
     a, b, c = max(dot(ahead, ahead), 1e-12), dot(outside, ahead), dot(outside, outside) - FARTHEST_MM**2
     return (math.sqrt(b * b - a * c) - b) / a if c < 0 else 0.0
-
-
-@compiled
-def spawn(
-    ray: Ray, origin: Vector, direction: Vector, weight: float, depth_mm: float, stretch: float, leaves_mm: float
-) -> None:
-    """Send a ray off from its surface, until it is deeper than the image; a reflected ray goes down and up again.
-
-    Parameters
-    ----------
-    ray : Ray
-        Is changed.
-    origin, direction : tuple of three float
-        From where it looks for its next surface, mm, and a unit vector.
-    weight : float
-        Its throughput.
-    depth_mm : float
-        Of the image.
-    stretch : float
-        Displayed over geometric length, in the tissue that it goes through.
-    leaves_mm : float
-        After which length it ends in any case.
-    """
-    ray.origin[0], ray.origin[1], ray.origin[2] = origin
-    ray.direction[0], ray.direction[1], ray.direction[2] = direction
-    ways = 1.0 if ray.reflections == 0 else 2.0
-    ray.weight, ray.reach_mm = weight, min((ways * depth_mm - ray.displayed_mm) / stretch, leaves_mm)

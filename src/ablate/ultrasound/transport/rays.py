@@ -1,11 +1,11 @@
 """The rays of a frame: their random numbers, how they leave the probe, their state under way.
 
 The random numbers are a counter-based table, stratified over the rays of each scanline and layer. A draw depends on
-(path seed, how many interfaces the ray has met, ray) and on nothing else, so that what is left
-out of a scene does not shift the rest. A ray and the one that it sent back share theirs, on different ways. Each number
-is stratified (Latin hypercube): of the n rays of one scanline and layer exactly one falls into each n-th of [0, 1), in
-an order that is permuted anew at each interface. Of the few rays that meet more interfaces than the table has rows,
-each number is a hash of the same three; strata are of no use where no two rays of a group meet the same surface.
+(path seed, how many interfaces the ray has met, ray) and on nothing else, so that what is left out of a scene does not
+shift the rest. A ray and the one that it sent back share theirs, on different ways. Each number is stratified (Latin
+hypercube): of the n rays of one scanline and layer exactly one falls into each n-th of [0, 1), in an order that is
+permuted anew at each interface. Of the few rays that meet more interfaces than the table has rows, each number is a
+hash of the same three; strata are of no use where no two rays of a group meet the same surface.
 """
 
 import math

@@ -11,10 +11,9 @@ import numpy as np
 from ablate.ultrasound.compiled import Vector, compiled, step
 from ablate.ultrasound.media import Media, Medium, Surface
 from ablate.ultrasound.surfaces.embree import PACKET, Asked, Hit, Packet, ask_together, closest_of, hit_of
-from ablate.ultrasound.surfaces.line_walk import next_step
-from ablate.ultrasound.transport.bounce import strays
+from ablate.ultrasound.transport.bounce import IN_BEAM_MM, aside
 from ablate.ultrasound.transport.rays import Ray
-from ablate.ultrasound.transport.scattering import Interface
+from ablate.ultrasound.transport.scattering import Interface, along
 
 
 @step
@@ -76,7 +75,7 @@ def length_ahead(ray: Ray, hit: Hit) -> float:
 
 @step
 def goes_astray(ray: Ray, hit: Hit, start: Vector, straight: Vector) -> bool:
-    """Whether a ray leaves its beam before its next surface or the end of its reach.
+    """Whether a ray is out of its beam before its next surface or the end of its reach: it is farthest off at an end.
 
     Bone bends rays out of the body. Such a ray loses nothing in the anechoic background and would fill the shadow
     behind the bone, so it insonifies no scanline there that is in the body.
@@ -91,7 +90,9 @@ def goes_astray(ray: Ray, hit: Hit, start: Vector, straight: Vector) -> bool:
         Of the ray's straight way: mm, and a unit vector.
     """
     to_mm = hit.distance_mm if hit.structure >= 0 else ray.reach_mm
-    return strays(origin_of(ray), direction_of(ray), to_mm, start, straight)
+    origin = origin_of(ray)
+    end = along(origin, direction_of(ray), to_mm)
+    return max(aside(origin, start, straight), aside(end, start, straight)) > IN_BEAM_MM**2
 
 
 @step
@@ -142,10 +143,11 @@ def move_up(ray: Ray, hit: Hit, medium: Medium, least_step_mm: float) -> float:
     Returns
     -------
     float
-        How far beyond this surface it is to look for the next one, mm.
+        How far beyond this surface it is to look for the next one, mm. Twice as far each time that it has not got away,
+        from the same triangle or from one as near: it would run along a surface in steps of a tenth of a micrometre.
     """
     away = is_fresh(ray, hit) and hit.distance_mm > ray.step_mm
-    step_mm = next_step(ray.step_mm, away, least_step_mm)
+    step_mm = least_step_mm if away else max(2 * ray.step_mm, least_step_mm)
     length_mm = hit.distance_mm + ray.step_mm
     ray.path_mm += length_mm
     ray.displayed_mm += length_mm * medium.stretch
