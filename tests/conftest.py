@@ -57,12 +57,12 @@ def cases() -> Path:
 
 @pytest.fixture(scope="session")
 def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """MLflow's SQLite file without a run: copied to `mlflow.db`, it saves the seconds that its first use takes."""
-    from mlflow import MlflowClient
+    """MLflow's SQLite file without a run, to be copied to `mlflow.db`."""
+    from support.laid_out import empty_database
 
-    folder = tmp_path_factory.mktemp("database")
-    MlflowClient(f"sqlite:///{folder / 'mlflow.db'}").search_experiments()
-    return folder / "mlflow.db"
+    path = tmp_path_factory.mktemp("database") / "mlflow.db"
+    path.write_bytes(empty_database())
+    return path
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from ablate.command.compose import jobs_of
 from ablate.command.launch import Launch
 from ablate.study.job import Job
 from ablate.tasks.run_task import run_task
+from support.laid_out import empty_database
 
 TINY = ["preset=tiny"]
 SWEEP = ["-m", "variant=sa2h,sa2h-att", *TINY]
@@ -43,10 +44,11 @@ class Unrendered(Figure):
 def run(*arguments: str) -> int:
     """What `python -m ablate` with these arguments does, and its exit code; a refusal is raised.
 
-    The jobs run in this process, one after another, and what stops one is raised. Figures are not rendered, and the
-    contact sheet of a data set is not drawn.
+    The jobs run in this process, one after another, and what stops one is raised. Figures are not rendered, the contact
+    sheet of a data set is not drawn, and a new database of MLflow is a copy of an empty one.
     """
     with (
+        mock.patch("ablate.publish.store._make", lambda path: path.write_bytes(empty_database())),
         mock.patch("ablate.analysis.figures.style.Figure", Unrendered),
         mock.patch("ablate.sources.prepare.write_contact_sheet", lambda _, path: path.write_bytes(b"")),
     ):
