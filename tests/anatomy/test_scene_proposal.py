@@ -99,6 +99,8 @@ def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
             ("ventricle_right", "blood"),
             ("lateral_ventricle_left", "csf"),
             ("Left-Lateral-Ventricle", "csf"),
+            ("brain_ventricle_left", "csf"),
+            ("cerebral_left_ventricle", "csf"),
             ("3rd-Ventricle", "csf"),
             ("ventricles", "csf"),
             ("hip_left", "bone"),
