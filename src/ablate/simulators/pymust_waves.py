@@ -97,6 +97,19 @@ class Levels(NamedTuple):
     surface: np.ndarray  # amplitude of a point such that a row of them, one a scanline, is as a surface of amplitude 1
 
 
+class _Strengths(np.ndarray):
+    """Strengths whose products with complex numbers are complex64, as PyMUST's phases are.
+
+    With float64 PyMUST would copy the phases of all scatterers and elements to complex128 for every frequency, half of
+    its time.
+    """
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        plain = [np.asarray(value) if isinstance(value, _Strengths) else value for value in inputs]
+        result = getattr(ufunc, method)(*plain, **options)
+        return result.astype(np.complex64) if np.iscomplexobj(result) else result
+
+
 def diverging_waves(echoes: Echoes) -> Iq:
     """A frame by PyMUST: scatterers and surfaces as points of the image plane, five diverging waves, delay and sum.
 
@@ -226,7 +239,8 @@ def _echoes(param: Any, cloud: Scatterers, delays: np.ndarray, shift: float, sam
     for first in range(0, len(cloud.x_mm), _SCATTERERS_AT_A_TIME):
         part = slice(first, first + _SCATTERERS_AT_A_TIME)
         x, z = 1e-3 * cloud.x_mm[part], 1e-3 * cloud.z_mm[part] + shift
-        rf, _ = pymust.simus(x, z, cloud.strength[part], delays.copy(), param.copy(), options)
+        strength = cloud.strength[part].view(_Strengths)
+        rf, _ = pymust.simus(x, z, strength, delays.copy(), param.copy(), options)
         rf = rf[:samples]
         total[: len(rf)] += rf
     return total
