@@ -62,6 +62,7 @@ SCORES = [
     "noise_sd",
     "fd_speckle",
 ]
+FIGURES = ("precision.png", "renderers.png")
 ORDER = "Observed order"  # the first words of the table of the summary that stands on the page
 
 
@@ -69,14 +70,21 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
     """Run the task, copy its figures and points here; returns what belongs on the page."""
     subprocess.run([sys.executable, "-m", "ablate", "task=precision", f"runs_dir={runs}", *arguments], check=True)
     made = runs / "precision"
-    for name in ("precision.png", "precision.csv", "renderers.png"):
-        stem, _, kind = name.partition(".")
-        shutil.copy(made / name, DOCS / f"{stem}{suffix}.{kind}")
+    shutil.copy(made / "precision.csv", DOCS / f"precision{suffix}.csv")
+    for name in FIGURES:
+        copy_if_shown(made / name, suffix)
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
     usual = f"rays {RAYS[suffix]}"
     order = next((table for name, table in tables(points, usual).items() if name.startswith(ORDER)), pd.DataFrame())
     return {"order": markdown(order), "verdict": verdict(details), "worth": markdown(worth(points, usual))}
+
+
+def copy_if_shown(figure: Path, suffix: str) -> None:
+    """Copy a figure into the pages' folder, if one of them shows it."""
+    name = f"{figure.stem}{suffix}{figure.suffix}"
+    if any(f"]({name})" in page.read_text() for page in (PAGE, TEACHER)):
+        shutil.copy(figure, DOCS / name)
 
 
 def draw_kept() -> None:
@@ -86,9 +94,9 @@ def draw_kept() -> None:
             continue
         points = pd.read_csv(DOCS / f"precision{suffix}.csv", dtype={"setting": str})
         with TemporaryDirectory() as folder:
-            for path in draw(points, rays, Path(folder), MACHINE)[0]:
-                if path.suffix == ".png":
-                    shutil.copy(path, DOCS / f"{path.stem}{suffix}.png")
+            draw(points, rays, Path(folder), MACHINE)
+            for name in FIGURES:
+                copy_if_shown(Path(folder) / name, suffix)
 
 
 def draw_for_readme() -> None:
