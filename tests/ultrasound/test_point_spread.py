@@ -124,6 +124,8 @@ def test_along_lines_is_a_convolution() -> None:
     kernel = torch.tensor([0.1, 0.5, 1.0, 0.5, 0.1], dtype=torch.float64)
     expected = np.apply_along_axis(lambda line: np.convolve(line, kernel.numpy(), "same"), -1, lines.numpy())
     np.testing.assert_allclose(along_lines(lines, kernel).numpy(), expected, atol=1e-12)
+    otherwise_in_memory = lines.transpose(1, 2).contiguous().transpose(1, 2)
+    np.testing.assert_allclose(along_lines(otherwise_in_memory, kernel).numpy(), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("samples", [512, 1024, 3072])

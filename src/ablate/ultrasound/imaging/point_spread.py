@@ -195,7 +195,7 @@ def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
     """Convolve lines, (2, scanlines, samples), along the last axis with a symmetric kernel, zeros beyond the ends."""
     if lines.device.type != "cpu":
         return F.conv1d(lines.flatten(0, 1)[:, None], kernel[None, None], padding="same").view(lines.shape)
-    result = torch.empty_like(lines)
+    result = torch.empty_like(lines, memory_format=torch.contiguous_format)  # so that `made` is a view of it
     given, made = lines.flatten(0, 1).numpy(), result.flatten(0, 1).numpy()
     in_parts(partial(_convolve, given, kernel.numpy(), made), len(given), LINES_OF_A_PART)
     return result
