@@ -94,7 +94,7 @@ def draw_kept() -> None:
             continue
         points = pd.read_csv(DOCS / f"precision{suffix}.csv", dtype={"setting": str})
         with TemporaryDirectory() as folder:
-            draw(points, rays, Path(folder), MACHINE)
+            draw(points, f"rays {rays}", Path(folder), MACHINE)
             for name in FIGURES:
                 copy_if_shown(Path(folder) / name, suffix)
 

@@ -79,6 +79,17 @@ def test_a_re_simulation_without_a_finite_value_is_no_level(figures, tmp_path):
     assert (panel.get_ylabel(), panel.get_title()) == ("PSNR (dB)", "")
 
 
+@pytest.mark.parametrize(("slowest_ms", "scale"), [(400.0, "linear"), (55000.0, "log")])
+def test_times_of_several_decades_are_on_a_logarithmic_axis(slowest_ms, scale, figures, tmp_path):
+    rows = [
+        ("simulator, other", "re-simulation", slowest_ms, "mae", 10.0),
+        ("simulator, other", "1 ray", 5.0, "mae", 12),
+    ]
+    points = pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
+    analysis.error_vs_runtime(points, tmp_path / "times", {"mae": 10.0})
+    assert figures["times"].axes[0].get_xscale() == scale
+
+
 def test_names_have_room_where_points_are_dense():
     figure = new_figure(4.0, 3.0)
     axes = figure.add_subplot()

@@ -8,12 +8,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import trimesh
 
 from ablate.command.compose import jobs_of
 from ablate.dataset import Pairs, Part, Recipe
 from ablate.dataset.simulate import frame_simulator
+from ablate.metrics import mae
 from ablate.settings.study import ConfigurationError
 from ablate.sources.prepare import prepare_data
 from ablate.sources.source import source_of
@@ -89,6 +91,25 @@ def test_a_frame_is_rendered_and_previewed(module: Path, capsys: pytest.CaptureF
     np.testing.assert_array_equal(imread(folder / "image.png"), pairs.stored("target", 2))
 
 
+def test_error_against_run_time_is_that_of_its_pairs(module: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Re-simulation is as far from the reference as that of the data set; ablate's simulator is farther."""
+    job = job_of(module.parent, "dataset.workers=1", "evaluation.timed_frames=6")
+    pairs = made(job)
+    assert run(*job.words, "task=precision") == 0
+    assert "The reference is my_simulators.blurred; settings of rays" in capsys.readouterr().out
+    folder = job.settings.results / "precision"
+    points = pd.read_csv(folder / "precision.csv")
+    found = points[points["metric"] == "mae"].set_index("setting")["error"]
+    test = np.flatnonzero(pairs.split == Part.test)
+    target, again = (pairs.read(name, test) for name in ("target", "resimulation"))
+    assert found["my_simulators.blurred"] == pytest.approx(
+        np.mean([mae(*pair) for pair in zip(again, target, strict=True)])
+    )
+    assert found[f"rays {job.settings.simulator.rays}"] > found["my_simulators.blurred"]
+    assert (folder / "renderers.png").exists()
+    assert not (folder / "precision.png").exists(), "its rays are not varied"
+
+
 def test_its_code_is_part_of_the_identity(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = job_of(module.parent)
     (ours,) = jobs_of([*SIZES, f"runs_dir={module.parent / 'runs'}"])
@@ -160,6 +181,8 @@ def test_a_frame_that_fails_names_itself_and_stops_the_rest(module: Path, worker
     assert not job.data.exists
     with pytest.raises(ConfigurationError, match=said):
         run(*job.words, "task=simulate")
+    with pytest.raises(ConfigurationError, match=r"^scene\.target=my_simulators\.blurred: returns 1 of 2048"):
+        run(*job.words, "task=precision")
 
 
 def test_a_scene_of_files_is_simulated_by_it(module: Path) -> None:
@@ -182,7 +205,6 @@ REFUSED = {
     "scene.target=my_simulators.np": "scene.target=my_simulators.np: is a module, allowed is a function",
     "simulator.compound_angles=3": "scene.target=my_simulators.blurred: allowed is compound_angles=1",
     "task=view": "task=view: shows ablate's own simulator alone; allowed with scene.target are study",
-    "task=precision": "task=precision: shows ablate's own simulator alone",
 }
 
 

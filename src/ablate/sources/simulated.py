@@ -25,8 +25,6 @@ from ablate.ultrasound.pulse import pulse_in_words
 from ablate.ultrasound.settings import SimulatorSettings, TimeGain
 from ablate.user_code import code_digest
 
-_OF_OURS = (Task.view, Task.precision)  # they ask for one frame after another at many settings
-
 
 def identity_of(settings: StudySettings, scene: Mapping[str, object]) -> dict[str, Any]:
     """What every pair of a simulated data set is made from, as JSON values; `scene` is what decides the anatomy."""
@@ -68,8 +66,8 @@ def check_frames(settings: StudySettings, sites: SiteGrid | None) -> int:
         with refusing("scene."):
             load_form(settings.scene.target)
             check_settings_of_own(settings.scene.target, simulator)
-        if settings.task in _OF_OURS:
-            others = ", ".join(task for task in Task if task not in _OF_OURS)
+        if settings.task is Task.view:
+            others = ", ".join(task for task in Task if task is not Task.view)
             raise ConfigurationError(
                 f"task={settings.task}: shows ablate's own simulator alone; allowed with scene.target are {others}"
             )

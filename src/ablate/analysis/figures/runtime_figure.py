@@ -25,6 +25,7 @@ SIMULATOR_COLOUR = "#888888"
 #: Columns that points may have: the ends of an interval over frames of how much worse than re-simulation one is.
 WORSE_BOUNDS = ("worse_lower", "worse_upper")
 _FARTHEST = 2.5  # times the largest of the simulator's: what is worse is told in words
+_LINEAR_UP_TO = 100  # times the shortest time: beyond that the axis of times is logarithmic
 _TITLE_LETTERS = 60  # of a line above a panel
 _AXIS_LETTERS = 38  # of a line beside it, with its unit
 
@@ -38,7 +39,8 @@ def error_vs_runtime(
 ) -> list[Path]:
     """Draw how much worse than re-simulation renderers are that do not know the scatterers, a panel a metric.
 
-    Axes are linear, every point has its name, and the grey line is the Pareto front.
+    Every point has its name, and the grey line is the Pareto front. Axes are linear, but that of times is logarithmic
+    beyond a factor of `_LINEAR_UP_TO`.
 
     Parameters
     ----------
@@ -104,7 +106,10 @@ def _draw_panel(
         lines = textwrap.fill("beyond the axis: " + "; ".join(values), _TITLE_LETTERS)
         axes.set_title(lines, fontsize=6, color="#555555")
     axes.set(xlabel="median time, ms a frame", ylabel=_ordinate(judge, relative))
-    axes.set_xlim(left=0.0)
+    if len(ms) and ms.max() > _LINEAR_UP_TO * ms.min():
+        axes.set_xscale("log")
+    else:
+        axes.set_xlim(left=0.0)
     axes.margins(x=0.15, y=0.1)
     return list(shown["name"]), ms, y
 

@@ -37,7 +37,10 @@ OTHER_SERIES = "simulator, other scatterers"
 
 @dataclass(frozen=True)
 class Bench:
-    """Some test frames of a data set: their numbers, (n,), their poses, (n, 4, 4) in mm, and the seed of scatterers."""
+    """Some test frames of a data set: their numbers, (n,), their poses, (n, 4, 4) in mm, and the seed of scatterers.
+
+    `target` is the dotted path of a simulator of the user's own.
+    """
 
     scene: Scene
     probe: Probe
@@ -45,6 +48,12 @@ class Bench:
     frames: np.ndarray
     poses: np.ndarray
     seed: int
+    target: str | None = None
+
+    @property
+    def usual(self) -> str:
+        """The setting of a simulator that is the re-simulation."""
+        return f"rays {self.simulator.rays}" if self.target is None else self.target
 
 
 def bench_of(job: Job) -> Bench:
@@ -58,7 +67,9 @@ def bench_of(job: Job) -> Bench:
     known = frames_of(settings, job.data, scene, grid)
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
     simulator = simulator_of(settings, job.data, scene, grid, known.poses)
-    return Bench(scene, settings.probe, simulator, frames, known.poses[frames], settings.dataset.seed)
+    return Bench(
+        scene, settings.probe, simulator, frames, known.poses[frames], settings.dataset.seed, settings.scene.target
+    )
 
 
 def each(*first: object, values: Mapping[str, float]) -> list[Row]:
@@ -145,7 +156,7 @@ def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     }
     if base.compound_angles > 1:
         values["compound_angles"] = {angles for angles in ANGLES if angles <= base.compound_angles}
-    return {name: {value: _changed(base, {name: value}) for value in sorted(steps)} for name, steps in values.items()}
+    return {name: {value: changed(base, {name: value}) for value in sorted(steps)} for name, steps in values.items()}
 
 
 def combined(base: SimulatorSettings) -> list[dict[str, int]]:
@@ -161,7 +172,7 @@ def _fractions(length: int, step: int = 1) -> set[int]:
     return {step * max(1, round(fraction * length / step)) for fraction in _FRACTIONS}
 
 
-def _changed(base: SimulatorSettings, changes: Mapping[str, Any]) -> SimulatorSettings:
+def changed(base: SimulatorSettings, changes: Mapping[str, Any]) -> SimulatorSettings:
     return replace(base, **changes)
 
 
@@ -224,7 +235,7 @@ def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
                 details += each("reference", RAYS_SERIES, value, values=changes)
             if value == getattr(base, name):
                 usual = rendered
-    together = {_words(changes): _changed(base, changes) for changes in combined(base)}
+    together = {setting_in_words(changes): changed(base, changes) for changes in combined(base)}
     measured = render_all(bench, list(together.values()), (bench.seed, bench.seed + 1), "settings combined")
     for words, ((rendered, other), ms) in zip(together, measured, strict=True):
         points += each(COMBINED_SERIES, words, ms, values=mean_errors(rendered, reference, bench.probe))
@@ -238,7 +249,7 @@ def measure_simulator(bench: Bench) -> tuple[Frames, Measured]:
     return reference, found
 
 
-def _words(changes: Mapping[str, int]) -> str:
+def setting_in_words(changes: Mapping[str, int]) -> str:
     """Several settings as one: `rays 2, layers 1`."""
     return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in changes.items())
 
@@ -254,7 +265,7 @@ def _converging(bench: Bench, name: str) -> dict[str | int, dict[str, float]]:
     base = replace(bench.simulator, rays=_FINER * bench.simulator.rays)
     finest = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
     seeds = (bench.seed, bench.seed + 1)
-    (((fine, other), _),) = render_all(bench, [_changed(base, {name: finest})], seeds, f"finest {name}")
+    (((fine, other), _),) = render_all(bench, [changed(base, {name: finest})], seeds, f"finest {name}")
     grids = ladders(base)[name]
     measured = render_all(bench, list(grids.values()), seeds[:1], f"convergence of {name}")
     rendered: dict[str | int, Frames] = {"other scatterers": other}

@@ -14,15 +14,15 @@ from ablate.numerics.precision.errors import ENVELOPE
 WAY = r", (?P<precision>\w+), (?P<engine>\w+)(?:, seed (?P<seed>\d+))?(?:, (?P<study>.+))?$"
 
 
-def draw(errors: pd.DataFrame, rays: int, folder: Path, machine: str) -> tuple[list[Path], dict[str, float]]:
+def draw(errors: pd.DataFrame, usual: str, folder: Path, machine: str) -> tuple[list[Path], dict[str, float]]:
     """Draw the convergence of the simulator, and the renderers that do not know the scatterers.
 
     Parameters
     ----------
     errors : DataFrame
         Columns `POINTS`, and `WORSE_BOUNDS` where they are known.
-    rays : int
-        Of the data set.
+    usual : str
+        The setting of the simulator that is the re-simulation, as `rays 16`.
     folder : Path
         Of the figures.
     machine : str
@@ -33,12 +33,11 @@ def draw(errors: pd.DataFrame, rays: int, folder: Path, machine: str) -> tuple[l
     list of Path, dict of str to float
         The figures, and the re-simulation's value by metric.
     """
-    usual = f"rays {rays}"
     level = resimulation_level(errors, usual)
-    return [
-        *convergence_figure(errors, folder / "precision", machine),
-        *error_vs_runtime(renderers(errors, usual), folder / "renderers", level, machine),
-    ], level
+    drawn = error_vs_runtime(renderers(errors, usual), folder / "renderers", level, machine)
+    if errors["series"].isin(list(SERIES)).any():  # not where the simulator is the user's own
+        drawn = [*convergence_figure(errors, folder / "precision", machine), *drawn]
+    return drawn, level
 
 
 def resimulation_level(errors: pd.DataFrame, usual: str) -> dict[str, float]:

@@ -27,9 +27,10 @@ from ablate.numerics.precision.generated import (
     schedule_of,
     shipped_candidates,
 )
+from ablate.numerics.precision.own_simulator import measure_own_simulator
 from ablate.numerics.precision.worth import worth
 from ablate.publish import TaskView, published_task
-from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.storage import write_text
 from ablate.study.job import Job
 from ablate.study.provenance import hardware
@@ -37,6 +38,7 @@ from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
 POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`, before those of intervals
+_OF_OWN = "The reference is {}; settings of rays and layers are those of ablate's own simulator."
 OF_FRAMES = ["series", "setting", "metric", "frame", "error"]  # of `frames.csv`
 DETAILS = ["table", "series", "setting", "quantity", "value"]  # and of `details.csv`
 
@@ -56,7 +58,11 @@ def precision(jobs: Sequence[Job]) -> int:
     folder = settings.results / "precision"
     try:
         with published_task(settings, folder) as view:
-            reference, simulated = measure_simulator(bench)
+            if bench.target is None:
+                reference, simulated = measure_simulator(bench)
+            else:
+                with refusing():
+                    reference, simulated = measure_own_simulator(bench, bench.target)
             parts = [
                 simulated,
                 measure_formula(bench, settings.model, reference),
@@ -68,7 +74,7 @@ def precision(jobs: Sequence[Job]) -> int:
                 "frames": pd.DataFrame([row for part in parts for row in part.of_frames], columns=OF_FRAMES),
             }
             measured = {name: table.astype({"setting": str}) for name, table in measured.items()}
-            worse = worse_than(measured["frames"], OTHER_SERIES, f"rays {bench.simulator.rays}").drop(columns="worse")
+            worse = worse_than(measured["frames"], OTHER_SERIES, bench.usual).drop(columns="worse")
             measured["precision"] = measured["precision"].merge(worse, "left", ["series", "setting", "metric"])
             for path in _report(folder, bench, about, measured, view):
                 print(path)
@@ -100,10 +106,10 @@ def _report(
     for name, table in measured.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     errors = measured["precision"]
-    figures, level = draw(errors, bench.simulator.rays, folder, hardware())
-    shown = tables(errors, f"rays {bench.simulator.rays}")
+    figures, level = draw(errors, bench.usual, folder, hardware())
+    shown = tables(errors, bench.usual)
     head = [
-        verdict(measured["details"]),
+        verdict(measured["details"]) if bench.target is None else _OF_OWN.format(bench.target),
         f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items()),
     ]
     print("\n".join([*head, "", as_text(shown), ""]))
