@@ -1,12 +1,12 @@
-"""Measure again what docs/numerics.md and docs/teachers.md show: figures, CSV files, tables. Give it the machine alone.
+"""Measure again figures, CSV files and tables of docs/numerics.md, teachers.md, own_simulator.md; on a quiet machine.
 
 make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour and a half at most on two cores
 python scripts/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 python scripts/numerics.py --draw                                   # the figures again, from the CSV files
 
 The part of the paper's size trains SA2H there first and shows its frames and scores. Of a patient, figures of errors
-and times are shown and no image. The teacher is that of `+study=compounded`, which is trained before. Tables stand
-between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is.
+and times are shown and no image. The teacher is that of `+study=compounded`, which is trained before, and so is
+`+study=pymust`. Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is.
 """
 
 import argparse
@@ -28,13 +28,21 @@ from ablate.numerics.precision.worth import worth
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "numerics.md"
 TEACHER = DOCS / "teachers.md"
-PARTS = ("fetal", "paper", "patient", "teacher", "scaling")
+PYMUST = DOCS / "own_simulator.md"
+PARTS = ("fetal", "paper", "patient", "teacher", "pymust", "scaling")
+BY_DEFAULT = ("fetal", "paper", "patient", "scaling")  # the others need a study that is trained before
 #: What stands on a figure that is drawn from the CSV files.
 MACHINE = "processor B (docs/processors.md)"
 #: The metrics of README's figure, and what it leaves out: a network's other precision.
 OF_README, LEFT_OUT = ("pchi2", "mae_smooth"), "fp32"
-#: Rays of the data sets, by what the names of figures end with.
-RAYS = {"": 16, "_paper": 32, "_patient": 16, "_teacher": 16}
+#: The setting that is the re-simulation, by what the names of figures end with.
+USUAL = {
+    "": "rays 16",
+    "_paper": "rays 32",
+    "_patient": "rays 16",
+    "_teacher": "rays 16",
+    "_pymust": "ablate.simulators.pymust_waves.diverging_waves",
+}
 #: The paper's sizes; all else is the preset's.
 PAPERS_SIZE = (
     "scene.triangles=675000",
@@ -75,26 +83,28 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
         copy_if_shown(made / name, suffix)
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
-    usual = f"rays {RAYS[suffix]}"
+    usual = USUAL[suffix]
     order = next((table for name, table in tables(points, usual).items() if name.startswith(ORDER)), pd.DataFrame())
-    return {"order": markdown(order), "verdict": verdict(details), "worth": markdown(worth(points, usual))}
+    halved = (details["table"] == "reference").any()  # not where the simulator is another one
+    converged = verdict(details) if halved else ""
+    return {"order": markdown(order), "verdict": converged, "worth": markdown(worth(points, usual))}
 
 
 def copy_if_shown(figure: Path, suffix: str) -> None:
     """Copy a figure into the pages' folder, if one of them shows it."""
     name = f"{figure.stem}{suffix}{figure.suffix}"
-    if any(f"]({name})" in page.read_text() for page in (PAGE, TEACHER)):
+    if any(f"]({name})" in page.read_text() for page in (PAGE, TEACHER, PYMUST)):
         shutil.copy(figure, DOCS / name)
 
 
 def draw_kept() -> None:
     """Draw the figures from the CSV files of the page."""
-    for suffix, rays in RAYS.items():
+    for suffix, usual in USUAL.items():
         if not (DOCS / f"precision{suffix}.csv").exists():  # not measured yet
             continue
         points = pd.read_csv(DOCS / f"precision{suffix}.csv", dtype={"setting": str})
         with TemporaryDirectory() as folder:
-            draw(points, f"rays {rays}", Path(folder), MACHINE)
+            draw(points, usual, Path(folder), MACHINE)
             for name in FIGURES:
                 copy_if_shown(Path(folder) / name, suffix)
 
@@ -103,7 +113,7 @@ def draw_for_readme() -> None:
     """Draw the renderers of a compounded frame with two metrics only, from the CSV file."""
     points = pd.read_csv(DOCS / "precision_teacher.csv", dtype={"setting": str})
     points = points[points["metric"].isin(OF_README)]
-    usual = f"rays {RAYS['_teacher']}"
+    usual = USUAL["_teacher"]
     shown = renderers(points, usual)
     shown = shown[shown["setting"] != LEFT_OUT]
     with TemporaryDirectory() as folder:
@@ -134,7 +144,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="holds the trained runs (runs_dir)")
     parser.add_argument("--preset", default="quick", help="what they were trained with")
     parser.add_argument("--patient", type=Path, help="a scene folder; left out without")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[part for part in PARTS if part != "teacher"])
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=BY_DEFAULT)
     parser.add_argument("--draw", action="store_true", help="draw the figures again from the CSV files")
     args = parser.parse_args()
     if args.draw:
@@ -150,6 +160,7 @@ def main() -> None:
             "_patient",
         ),
         "teacher": (["+study=compounded"], args.runs, "_teacher"),
+        "pymust": (["+study=pymust"], args.runs, "_pymust"),
     }
     for part in args.parts:
         if part == "paper":
@@ -163,7 +174,7 @@ def main() -> None:
             PAGE.write_text(fill(PAGE.read_text(), {"paper scores": markdown(scores)}))
         if part in jobs and not (part == "patient" and args.patient is None):
             found = {f"{part} {name}": text for name, text in measure(*jobs[part]).items()}
-            page = TEACHER if part == "teacher" else PAGE
+            page = {"teacher": TEACHER, "pymust": PYMUST}.get(part, PAGE)
             page.write_text(fill(page.read_text(), found))
             if part == "teacher":
                 draw_for_readme()

@@ -324,6 +324,7 @@ def test_a_shipped_network_is_measured_on_frames_such_as_it_was_trained_on() -> 
     compounded = replace(frames, simulator=replace(shipped.simulator, compound_angles=3))
     assert [c.series for c in generated.shipped_candidates(frames)] == ["shipped full", "shipped sa2h"]
     assert generated.shipped_candidates(compounded) == []
+    assert generated.shipped_candidates(replace(frames, target="my_simulators.blurred")) == []
 
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:

@@ -146,9 +146,12 @@ def _of_run(run: Training, settings: StudySettings) -> Candidate:
 
 
 def shipped_candidates(bench: Bench) -> list[Candidate]:
-    """The networks that come with the package and were trained on such frames: probe, size, angles and tissues."""
+    """The networks that come with the package and were trained on such frames: probe, size, angles and tissues.
+
+    No network was trained on those of a simulator of the user's own.
+    """
     found = []
-    for name in NAMES:
+    for name in NAMES if bench.target is None else ():
         renderer = load(name)
         trained = renderer.simulator
         frames = [(s.image_shape, s.beam_shape, s.compound_angles) for s in (trained, bench.simulator)]
