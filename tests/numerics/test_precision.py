@@ -24,7 +24,14 @@ from ablate.networks.spec import OF_SURFACES
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import bench_of
-from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change, worse_than
+from ablate.numerics.precision.errors import (
+    Frames,
+    envelope_rms,
+    mean_errors,
+    relative_change,
+    with_histogram_of,
+    worse_than,
+)
 from ablate.numerics.precision.figures import renderers
 from ablate.numerics.precision.worth import worth
 from ablate.pretrained import load
@@ -35,7 +42,7 @@ from ablate.sources.source import source_of
 from ablate.storage import digest, read_json, write_json
 from ablate.study.work import do
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, fan_mask, scan_converter
 from support.studies import run as run_command
 
 TINY = ("preset=tiny", "training.steps=2", "evaluation.pictures=1")
@@ -325,6 +332,15 @@ def test_a_shipped_network_is_measured_on_frames_such_as_it_was_trained_on() -> 
     assert [c.series for c in generated.shipped_candidates(frames)] == ["shipped full", "shipped sa2h"]
     assert generated.shipped_candidates(compounded) == []
     assert generated.shipped_candidates(replace(frames, target="my_simulators.blurred")) == []
+
+
+def test_what_a_curve_of_grey_levels_mends_does_not_count_against_ablates_simulator() -> None:
+    """Frames of twice the grey level become the reference; black outside the fan stays."""
+    probe = ConvexProbe()
+    mask = fan_mask(probe, (32, 48))
+    levels = np.random.default_rng(0).integers(0, 128, (3, 32, 48), np.uint8) * mask
+    brighter = with_histogram_of(Frames(2 * levels), Frames(levels), probe)
+    np.testing.assert_array_equal(brighter.images, levels)
 
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.point_names import figure_of_points
@@ -108,6 +109,8 @@ def _draw_panel(
     axes.set(xlabel="median time, ms a frame", ylabel=_ordinate(judge, relative))
     if len(ms) and ms.max() > _LINEAR_UP_TO * ms.min():
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:,.0f}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_xlim(left=0.0)
     axes.margins(x=0.15, y=0.1)

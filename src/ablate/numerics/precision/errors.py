@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from scipy import stats
+from skimage.exposure import match_histograms
 
 from ablate.analysis.figures.runtime_figure import WORSE_BOUNDS
 from ablate.analysis.scored import LEVEL
@@ -59,6 +60,13 @@ def frame_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str,
         for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
             errors.setdefault(name, []).append(error)
     return errors
+
+
+def with_histogram_of(frames: Frames, reference: Frames, probe: Probe) -> Frames:
+    """Frames whose histogram in the fan, of all together, is the reference's."""
+    images, mask = frames.images.copy(), fan_mask(probe, frames.images.shape[1:])
+    images[:, mask] = np.rint(match_histograms(images[:, mask], reference.images[:, mask]))
+    return Frames(images)
 
 
 def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, float]:

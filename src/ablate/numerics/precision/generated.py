@@ -16,7 +16,7 @@ from ablate.evaluation import formula_maps, time_in_turns
 from ablate.metrics.metric import FORMULA
 from ablate.networks import Generator, GeneratorSpec, Space, conditions
 from ablate.numerics.precision.bench import Bench, Measured, each, shown_progress
-from ablate.numerics.precision.errors import Frames, frame_errors, mean_errors
+from ablate.numerics.precision.errors import Frames, frame_errors, mean_errors, with_histogram_of
 from ablate.pretrained.renderer import NAMES, OUTSIDE, Renderer, load
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
@@ -227,7 +227,10 @@ def measure_generators(bench: Bench, planned: Planned, settings: StudySettings, 
 
 
 def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Measured:
-    """Measure the formula of the maps that a network of `spec` reads, as a network is measured."""
+    """Measure the formula of the maps that a network of `spec` reads, as a network is measured.
+
+    Beside a simulator of the user's own, its grey levels are matched as those of ablate's simulator are.
+    """
     names = formula_maps(spec)
     maps, inputs_ms = make_inputs(with_other_scatterers(bench), names, Space.beam)
     formula = Formula(bench.scene.tissues, bench.probe, bench.simulator)
@@ -238,6 +241,8 @@ def measure_formula(bench: Bench, spec: GeneratorSpec, reference: Frames) -> Mea
         return converter.to_image(formula(insonified, int(bench.frames[frame])))
 
     rendered, formula_ms = _all_frames(render_frame, len(bench.frames))
+    if bench.target is not None:
+        rendered = with_histogram_of(rendered, reference, bench.probe)
     setting = ", ".join(names)
     found = Measured()
     ms = sum(inputs_ms.values()) + formula_ms

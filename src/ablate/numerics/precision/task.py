@@ -38,7 +38,10 @@ from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
 POINTS = ["series", "setting", "ms", "metric", "error"]  # columns of `precision.csv`, before those of intervals
-_OF_OWN = "The reference is {}; settings of rays and layers are those of ablate's own simulator."
+_OF_OWN = (
+    "The reference is {}; settings of rays and layers are those of ablate's own simulator. "
+    "Its grey levels, and those of the formula, are matched to the histogram of the reference."
+)
 OF_FRAMES = ["series", "setting", "metric", "frame", "error"]  # of `frames.csv`
 DETAILS = ["table", "series", "setting", "quantity", "value"]  # and of `details.csv`
 
