@@ -1,6 +1,6 @@
 """What maps cannot tell: the simulator's own frame, with what `variant=full` does not read taken away step by step.
 
-python scripts/ceiling.py         # the table of docs/networks.md, errors to the frame itself: half a minute
+python scripts/ceiling.py         # a table; docs/networks.md has its end. Errors to the frame itself: half a minute
 """
 
 from collections.abc import Callable
